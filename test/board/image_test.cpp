@@ -159,7 +159,7 @@ test::ChildResult link(const std::string& source) {
   const std::string script = std::string(GROMA_SOURCE_DIR) + "/firmware/soc/nrf52832/nrf52832.ld";
   return test::run_child({"/usr/bin/env", "arm-none-eabi-gcc", "-mcpu=cortex-m4", "-mthumb", "-ffreestanding",
                           "-nostartfiles", "--specs=nano.specs", "--specs=nosys.specs", "-Wl,--gc-sections",
-                          "-L" GROMA_SOURCE_DIR, "-Wl,--script=" + script, "-o",
+                          std::string("-L") + GROMA_SOURCE_DIR, "-Wl,--script=" + script, "-o",
                           (folder.path() / "image.elf").string(), file.string()});
 }
 

@@ -51,6 +51,7 @@ class SmallProgram {
     std::vector<TimedByte> timed;
     network.take(0, timed);
     std::vector<std::uint8_t> bytes;
+    bytes.reserve(timed.size());
     for (const TimedByte& byte : timed) bytes.push_back(byte.value);
     return bytes;
   }
