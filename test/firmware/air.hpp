@@ -198,8 +198,8 @@ class Air {
   [[nodiscard]] const groma_Counters& counters(std::size_t node) const { return nodes_[node]->counters; }
   [[nodiscard]] const mac::Station& station(std::size_t node) const {
     const auto& machine = nodes_[node]->machine;
-    if (const auto* tag = std::get_if<mac::Tag>(&machine)) return tag->station();
-    return std::get<mac::Anchor>(machine).station();
+    if (const auto* tag = std::get_if<mac::Tag>(&machine)) return *tag;
+    return std::get<mac::Anchor>(machine);
   }
   [[nodiscard]] double offset_ppm(std::size_t node) const { return nodes_[node]->settings.offset_ppm; }
   // Its clock reading now.

@@ -9,6 +9,7 @@
 #include <limits>
 #include <vector>
 
+#include "firmware/core/dw1000/phy.hpp"
 #include "firmware/core/mac/replay_guard.hpp"
 #include "firmware/sim/aes.hpp"
 
@@ -437,9 +438,22 @@ TEST(FrameAuthenticator, OfAnOpenNetworkDoesNothing) {
 
 class ReplayGuardTest : public ::testing::Test {
  protected:
-  static ReplayGuard::Settings settings_of(std::uint16_t id, std::uint32_t* nonces) {
-    return {
-        .id = id, .required = true, .boot_count = 5, .nonces = nonces, .turn = 2, .turns = 4, .relays = 1};
+  // Of four turns node 7 has the third.
+  static groma_Schedule schedule_of_four() {
+    groma_Schedule four = groma_Schedule_init_zero;
+    for (const std::uint16_t id : std::vector<std::uint16_t>{1'001, 1'002, 7})
+      four.anchor_ids[four.anchor_ids_count++] = id;
+    four.tag_ids[four.tag_ids_count++] = 1;
+    four.backup_ids[four.backup_ids_count++] = 1'002;
+    return four;
+  }
+  Site site_of(std::uint16_t id, std::uint32_t* counter) {
+    return {.id = id,
+            .phy = dw1000::phy_of(radio::Preamble::k128),
+            .schedule = &schedule,
+            .boot_count = 5,
+            .network_key = kKey,
+            .nonces = counter};
   }
   static Frame frame_of(const Body& body) { return {.source = 101, .secured = true, .body = body}; }
   static void hear(ReplayGuard& node, std::optional<ChallengeResponse> challenge_response) {
@@ -454,8 +468,10 @@ class ReplayGuardTest : public ::testing::Test {
     return outgoing ? std::get<Join>(outgoing->body) : Join{};
   }
 
+  const groma_Schedule schedule = schedule_of_four();
   std::uint32_t nonces = 0;
-  ReplayGuard node{settings_of(7, &nonces)};
+  const Site site = site_of(7, &nonces);
+  ReplayGuard node{site};
 };
 
 TEST_F(ReplayGuardTest, AcceptsABeaconThatReturnsItsNonce) {
@@ -489,19 +505,19 @@ TEST_F(ReplayGuardTest, NeverRepeatsANonce) {
   hear(node, ChallengeResponse{7, first.nonce});
   EXPECT_FALSE(node.fresh());
   // A second station in the same boot.
-  ReplayGuard again(settings_of(7, &nonces));
+  ReplayGuard again(site);
   const Join third = challenge(again, 0);
   EXPECT_NE(third.nonce, first.nonce);
   EXPECT_NE(third.nonce, second.nonce);
   // After a reboot the count of nonces restarts.
   std::uint32_t none = 0;
-  ReplayGuard::Settings settings = settings_of(7, &none);
-  settings.boot_count = 6;
-  ReplayGuard rebooted(settings);
+  Site later = site_of(7, &none);
+  later.boot_count = 6;
+  ReplayGuard rebooted(later);
   EXPECT_NE(challenge(rebooted, 0).nonce, first.nonce);
   // Without a boot count it sends no challenge and so accepts no beacon.
-  settings.boot_count = 0;
-  ReplayGuard uncounted(settings);
+  later.boot_count = 0;
+  ReplayGuard uncounted(later);
   for (std::uint32_t number = 0; number < 20; ++number) EXPECT_FALSE(uncounted.open_slot(number).has_value());
 }
 
@@ -539,7 +555,8 @@ TEST_F(ReplayGuardTest, GivesUpOnANetworkThatNeverAnswers) {
 
 TEST_F(ReplayGuardTest, AnswersTheLastChallengeOnceIfItIsVerifiedItself) {
   std::uint32_t others = 0;
-  ReplayGuard master(settings_of(101, &others));
+  const Site other = site_of(101, &others);
+  ReplayGuard master(other);
   const Join join{.origin = 7, .nonce = 99, .wants_challenge_response = true};
   Beacon beacon;
   master.on_control(frame_of(join), 0, true);
@@ -561,12 +578,14 @@ TEST_F(ReplayGuardTest, AnswersTheLastChallengeOnceIfItIsVerifiedItself) {
   EXPECT_FALSE(beacon.challenge_response.has_value());
 }
 
-TEST(ReplayGuard, NeedsNoChallengeInAnOpenNetwork) {
-  ReplayGuard node({.id = 7});
-  EXPECT_TRUE(node.fresh());
-  node.forget();
-  EXPECT_TRUE(node.fresh());
-  EXPECT_FALSE(node.open_slot(0).has_value());
+TEST_F(ReplayGuardTest, NeedsNoChallengeInAnOpenNetwork) {
+  Site open = site;
+  open.network_key = {};
+  ReplayGuard free(open);
+  EXPECT_TRUE(free.fresh());
+  free.forget();
+  EXPECT_TRUE(free.fresh());
+  EXPECT_FALSE(free.open_slot(0).has_value());
 }
 
 }  // namespace

@@ -431,8 +431,7 @@ TEST(Anchor, AnswersOnlyAPollOfTheRightSlotSuperframeAndIds) {
     EXPECT_EQ(step.action.kind, Action::Kind::kListen);
     const auto bytes =
         mac::serialize({.network = network, .destination = mac::kBroadcast, .source = source, .body = poll});
-    const ClockTime due =
-        heard + anchor.station().superframe().poll(0) - anchor.station().superframe().beacon();
+    const ClockTime due = heard + anchor.superframe().poll(0) - anchor.superframe().beacon();
     step = anchor.on_received({.timestamp = due, .timestamp_valid = true, .frame = bytes.bytes()});
     return step.action.kind;
   };
@@ -462,10 +461,10 @@ TEST(Station, ItsReceiverHuntsAGuardBeforeAFrameIsDue) {
   const mac::Anchor anchor(
       {.id = 102, .network_id = 9, .phy = dw1000::phy_of(radio::Preamble::k128), .schedule = &schedule},
       counters);
-  const mac::Superframe& superframe = anchor.station().superframe();
+  const mac::Superframe& superframe = anchor.superframe();
   const ClockTime due(10'000'000'000);
   const Ticks slack(1'000);
-  const Action action = anchor.station().listen(mac::SlotKind::kPoll, due, 100, slack);
+  const Action action = anchor.listen(mac::SlotKind::kPoll, due, 100, slack);
   const Ticks to_start = due - superframe.phy().before_rmarker() - superframe.guard() - slack - action.at;
   EXPECT_GE(to_start, Ticks::from_us(16));
   EXPECT_LT(to_start, Ticks::from_us(17));
@@ -488,7 +487,7 @@ class ScriptedAnchor {
     EXPECT_EQ(step_.action.kind, Action::Kind::kTransmit);
     const ClockTime sent = step_.action.at;
     (void)tag_.on_transmitted(sent);
-    const Ticks due = tag_.station().superframe().response(0, 1);
+    const Ticks due = tag_.superframe().response(0, 1);
     response.reply = due - Ticks(200);
     const auto bytes = mac::serialize({.network = 9, .destination = 1, .source = source, .body = response});
     step_ =

@@ -95,7 +95,6 @@ class Cells {
       if (node->id == master && node->on) {
         Beacon beacon{.superframe = number, .session = 1, .master = master, .slots = kMaxTags};
         node->channel().on_beacon_out(beacon, true);
-        node->slots->take(beacon);
         owners.assign(beacon.owners.begin(), beacon.owners.begin() + beacon.slots);
         deliver({{node.get(), beacon}});
       }

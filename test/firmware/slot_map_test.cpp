@@ -1,3 +1,5 @@
+#include "firmware/core/mac/slot_map.hpp"
+
 #include <gtest/gtest.h>
 
 #include <map>
@@ -6,12 +8,10 @@
 #include <set>
 #include <vector>
 
-#include "firmware/core/mac/slot_leases.hpp"
-
 namespace groma::mac {
 namespace {
 
-using Claim = SlotLeases::Claim;
+using Claim = SlotMap::Claim;
 
 groma_Schedule schedule_of_slots(const std::vector<std::uint16_t>& tags, std::uint32_t slots) {
   groma_Schedule schedule = groma_Schedule_init_zero;
@@ -20,23 +20,20 @@ groma_Schedule schedule_of_slots(const std::vector<std::uint16_t>& tags, std::ui
   return schedule;
 }
 
-// The slot map and the leases of one anchor.
-struct Table : SlotMap, SlotLeases {
-  explicit Table(const groma_Schedule& schedule)
-      : SlotMap(schedule), SlotLeases(static_cast<SlotMap&>(*this)) {}
-  void copy(const Beacon& beacon) {
-    take(beacon);
-    follow(beacon.session);
-  }
-};
-
-Beacon beacon_of(const Table& table, std::uint32_t superframe, std::uint64_t session = 1) {
+Beacon beacon_of(const SlotMap& table, std::uint32_t superframe, std::uint64_t session = 1) {
   Beacon beacon{.superframe = superframe, .session = session};
   table.fill(beacon);
   return beacon;
 }
 
-std::vector<std::uint16_t> slot_owners(const Table& table) {
+// The beacon of the master that has this map.
+Beacon lead(SlotMap& table, std::uint32_t superframe, std::uint64_t session = 1) {
+  Beacon beacon{.superframe = superframe, .session = session};
+  table.lead(beacon);
+  return beacon;
+}
+
+std::vector<std::uint16_t> slot_owners(const SlotMap& table) {
   return {table.owners().begin(), table.owners().end()};
 }
 
@@ -44,9 +41,9 @@ using Ids = std::vector<std::uint16_t>;
 
 // ---- the table ----------------------------------------------------------------------------------------
 
-TEST(SlotLeases, StartsFromTheSchedule) {
+TEST(SlotMap, StartsFromTheSchedule) {
   auto schedule = schedule_of_slots({1, 2, 3}, 5);
-  Table table(schedule);
+  SlotMap table(schedule);
   EXPECT_EQ(slot_owners(table), (Ids{kBroadcast, kBroadcast, kBroadcast, kNobody, kNobody}));
   EXPECT_TRUE(table.may_poll(2, 1));
   EXPECT_FALSE(table.may_poll(2, 0));
@@ -57,14 +54,14 @@ TEST(SlotLeases, StartsFromTheSchedule) {
   schedule.tag_slots_count = 3;
   schedule.tag_slots[0] = schedule.tag_slots[1] = 4;
   schedule.tag_slots[2] = 0;
-  Table shared(schedule);
+  SlotMap shared(schedule);
   EXPECT_EQ(slot_owners(shared), (Ids{kBroadcast, kNobody, kNobody, kNobody, kBroadcast}));
   EXPECT_TRUE(shared.may_poll(1, 4) && shared.may_poll(2, 4) && shared.may_poll(3, 0));
 }
 
-TEST(SlotLeases, GrantsAFreeSlotAtOnceAndConfirmsItWhenAskedAgain) {
+TEST(SlotMap, GrantsAFreeSlotAtOnceAndConfirmsItWhenAskedAgain) {
   const auto schedule = schedule_of_slots({1}, 3);
-  Table table(schedule);
+  SlotMap table(schedule);
   EXPECT_EQ(table.claim(50), Claim::kGranted);
   EXPECT_EQ(table.claim(50), Claim::kHeld);
   EXPECT_EQ(table.claim(1), Claim::kHeld);
@@ -74,9 +71,9 @@ TEST(SlotLeases, GrantsAFreeSlotAtOnceAndConfirmsItWhenAskedAgain) {
   EXPECT_TRUE(table.may_poll(60, 2));
 }
 
-TEST(SlotLeases, AReleasedSlotIsGrantedAtOnce) {
+TEST(SlotMap, AReleasedSlotIsGrantedAtOnce) {
   const auto schedule = schedule_of_slots({1}, 2);
-  Table table(schedule);
+  SlotMap table(schedule);
   EXPECT_EQ(table.claim(50), Claim::kGranted);
   table.advance(1);
   table.leave(50);
@@ -91,17 +88,17 @@ TEST(SlotLeases, AReleasedSlotIsGrantedAtOnce) {
   EXPECT_EQ(slot_owners(table), (Ids{70, 1}));
 }
 
-TEST(SlotLeases, ASharedSlotStaysWithTheOthers) {
+TEST(SlotMap, ASharedSlotStaysWithTheOthers) {
   auto schedule = schedule_of_slots({1, 2}, 2);
   schedule.tag_slots_count = 2;
-  Table table(schedule);
+  SlotMap table(schedule);
   table.leave(1);
   EXPECT_TRUE(table.may_poll(2, 0));
 }
 
-TEST(SlotLeases, ASilentTagLosesItsSlotWhichIsGrantedOnlyAfterAPause) {
+TEST(SlotMap, ASilentTagLosesItsSlotWhichIsGrantedOnlyAfterAPause) {
   const auto schedule = schedule_of_slots({1, 2}, 2);
-  Table table(schedule);
+  SlotMap table(schedule);
   std::uint32_t t = 0;
   const auto step = [&] {
     table.advance(++t);
@@ -119,9 +116,9 @@ TEST(SlotLeases, ASilentTagLosesItsSlotWhichIsGrantedOnlyAfterAPause) {
   EXPECT_EQ(slot_owners(table), (Ids{kBroadcast, 50}));
 }
 
-TEST(SlotLeases, AReclaimedSlotReturnsToItsOwnerOnRequest) {
+TEST(SlotMap, AReclaimedSlotReturnsToItsOwnerOnRequest) {
   const auto schedule = schedule_of_slots({1, 2}, 3);
-  Table table(schedule);
+  SlotMap table(schedule);
   EXPECT_EQ(table.claim(50), Claim::kGranted);
   table.hear(50, 2);
   table.hear(1, 0);
@@ -137,9 +134,9 @@ TEST(SlotLeases, AReclaimedSlotReturnsToItsOwnerOnRequest) {
   EXPECT_EQ(slot_owners(table), (Ids{kBroadcast, kBroadcast, 50}));
 }
 
-TEST(SlotLeases, AMasterThatHearsNobodyReclaimsNothing) {
+TEST(SlotMap, AMasterThatHearsNobodyReclaimsNothing) {
   const auto schedule = schedule_of_slots({1, 2}, 2);
-  Table table(schedule);
+  SlotMap table(schedule);
   table.hear(1, 0);
   table.hear(2, 1);
   for (std::uint32_t t = 1; t < 10 * kLease; ++t) {
@@ -160,9 +157,9 @@ TEST(SlotLeases, AMasterThatHearsNobodyReclaimsNothing) {
   EXPECT_EQ(slot_owners(table), (Ids{kNobody, kBroadcast}));
 }
 
-TEST(SlotLeases, ATagTheMasterNeverHeardKeepsItsSlotUntilAnotherAsks) {
+TEST(SlotMap, ATagTheMasterNeverHeardKeepsItsSlotUntilAnotherAsks) {
   const auto schedule = schedule_of_slots({1, 2}, 2);
-  Table table(schedule);
+  SlotMap table(schedule);
   for (std::uint32_t t = 1; t < 1000; ++t) {
     table.advance(t);
     table.hear(1, 0);
@@ -179,11 +176,10 @@ TEST(SlotLeases, ATagTheMasterNeverHeardKeepsItsSlotUntilAnotherAsks) {
 }
 
 // Three forged JOINs have filled the table; the scheduled tags find no free slot.
-TEST(SlotLeases, AClaimantThatNeverPollsSoonLosesItsSlot) {
+TEST(SlotMap, AClaimantThatNeverPollsSoonLosesItsSlot) {
   const auto schedule = schedule_of_slots({1, 2}, 3);
-  Table table(schedule);
-  table.lead(7);
-  table.advance(1);
+  SlotMap table(schedule);
+  lead(table, 1, 7);
   table.leave(1);
   table.leave(2);
   for (std::uint16_t ghost = 60; ghost < 63; ++ghost) EXPECT_EQ(table.claim(ghost), Claim::kGranted);
@@ -196,9 +192,8 @@ TEST(SlotLeases, AClaimantThatNeverPollsSoonLosesItsSlot) {
   }
   EXPECT_LE(t, kFirstLease + kMapGoodFor + 12);
   // A tag that polls keeps its slot, however many others ask.
-  Table full(schedule);
-  full.lead(7);
-  full.advance(1);
+  SlotMap full(schedule);
+  lead(full, 1, 7);
   EXPECT_EQ(full.claim(60), Claim::kGranted);
   for (t = 2; t < 500; ++t) {
     full.advance(t);
@@ -238,37 +233,36 @@ TEST(SlotMap, AnAdoptedTimelineReplacesTheFormerCount) {
   EXPECT_EQ(map.valid_slot_of(1, 101), std::size_t{0});
 }
 
-TEST(SlotLeases, ACopyFollowsTheMastersNewestTable) {
+TEST(SlotMap, ACopyFollowsTheMastersNewestTable) {
   const auto schedule = schedule_of_slots({1}, 3);
-  Table master(schedule);
-  Table copy(schedule);
-  copy.copy(beacon_of(master, 10));
+  SlotMap master(schedule);
+  SlotMap copy(schedule);
+  copy.take(beacon_of(master, 10));
   const Beacon old = beacon_of(master, 10);
   EXPECT_EQ(master.claim(50), Claim::kGranted);
-  copy.copy(beacon_of(master, 11));
+  copy.take(beacon_of(master, 11));
   EXPECT_EQ(slot_owners(copy), slot_owners(master));
   Beacon relayed = old;
   relayed.superframe = 13;
   relayed.age = 3;
-  copy.copy(relayed);
+  copy.take(relayed);
   EXPECT_EQ(slot_owners(copy), slot_owners(master)) << "of superframe 10";
   Beacon other = old;
   other.session = 2;
   other.superframe = 3;
-  copy.copy(other);
+  copy.take(other);
   EXPECT_EQ(slot_owners(copy), (Ids{kBroadcast, kNobody, kNobody}))
       << "the counts of two sessions do not compare";
 }
 
-TEST(SlotLeases, ANewMasterContinuesWithItsCopyAndHoldsFreeSlotsBack) {
+TEST(SlotMap, ANewMasterContinuesWithItsCopyAndHoldsFreeSlotsBack) {
   const auto schedule = schedule_of_slots({1}, 3);
-  Table master(schedule);
+  SlotMap master(schedule);
   EXPECT_EQ(master.claim(50), Claim::kGranted);
-  Table next(schedule);
+  SlotMap next(schedule);
   next.advance(100);
-  next.copy(beacon_of(master, 100));
-  next.advance(113);
-  next.lead(1);
+  next.take(beacon_of(master, 100));
+  lead(next, 113);
   EXPECT_EQ(slot_owners(next), (Ids{kBroadcast, 50, kNobody}));
   EXPECT_EQ(next.claim(50), Claim::kHeld);
   next.advance(113 + kMapGoodFor);
@@ -341,7 +335,7 @@ struct Player {
 };
 
 struct Head {
-  std::unique_ptr<Table> table;
+  std::unique_ptr<SlotMap> table;
   bool on = true;
   std::uint32_t copied_at = 0;
 };
@@ -358,7 +352,7 @@ TEST(Slots, NeverHaveTwoOwners) {
     std::vector<Player> players;
     for (const std::uint16_t id : Ids{1, 2, 3, 50, 51, 52, 53}) players.push_back({.id = id});
     std::vector<Head> heads(3);
-    for (Head& head : heads) head.table = std::make_unique<Table>(schedule);
+    for (Head& head : heads) head.table = std::make_unique<SlotMap>(schedule);
     std::size_t leader = 0;
     std::map<std::size_t, std::uint16_t> last;
     std::vector<Beacon> past;
@@ -376,13 +370,10 @@ TEST(Slots, NeverHaveTwoOwners) {
         } else {
           leader = next;
           t += 13;
-          heads[leader].table->advance(t);
-          heads[leader].table->lead(1);
         }
       }
-      Table& table = *heads[leader].table;
-      table.reclaim();
-      const Beacon beacon = beacon_of(table, t);
+      SlotMap& table = *heads[leader].table;
+      const Beacon beacon = lead(table, t);
       past.push_back(beacon);
       for (std::size_t i = 0; i < heads.size(); ++i) {
         if (i == leader) continue;
@@ -390,12 +381,11 @@ TEST(Slots, NeverHaveTwoOwners) {
           // A restarted node copies the table from the air before it may lead.
           if (!chance(0.02)) continue;
           heads[i].on = true;
-          heads[i].table = std::make_unique<Table>(schedule);
-          heads[i].table->advance(t);
-          heads[i].table->copy(beacon);
+          heads[i].table = std::make_unique<SlotMap>(schedule);
+          heads[i].table->take(beacon);
           heads[i].copied_at = t;
         } else if (chance(0.7)) {
-          heads[i].table->copy(beacon);
+          heads[i].table->take(beacon);
           heads[i].copied_at = t;
         }
       }

@@ -21,7 +21,7 @@
 #include "firmware/core/mac/frame_authenticator.hpp"
 #include "firmware/core/mac/master_election.hpp"
 #include "firmware/core/mac/replay_guard.hpp"
-#include "firmware/core/mac/slot_leases.hpp"
+#include "firmware/core/mac/slot_map.hpp"
 #include "firmware/core/mac/superframe.hpp"
 #include "firmware/core/node/air_link.hpp"
 #include "firmware/core/ranging/twr.hpp"
@@ -440,7 +440,7 @@ TEST(AirReference, TheFormulasGiveEachInstantOfASuperframe) {
             groma_Schedule schedule = schedule_with(size, 4 * size, method, 353, gap_us, 31);
             schedule.slots = static_cast<std::uint32_t>(size == 3 ? 5 : 0);
             schedule.responses = size == 3 ? 7 : 0;
-            ASSERT_EQ(check(schedule), ScheduleFault::kNone);
+            ASSERT_STREQ(fault_of(schedule), "");
             const Superframe superframe(schedule, dw1000::phy_of(preamble), secured);
             const Formulas page_says = formulas_for(schedule, preamble, secured);
             const std::string end = superframe.has_final() ? "_final" : "";
@@ -595,22 +595,28 @@ double vacancy() {
   groma_Schedule schedule = example_schedule();
   schedule.tag_ids_count = 1;
   SlotMap map(schedule);
-  SlotLeases leases(map);
   std::uint32_t superframe = 1;
-  leases.advance(superframe);
-  leases.lead(1);
+  Beacon beacon{.superframe = superframe, .session = 1};
+  map.lead(beacon);
   superframe += kLease;
-  leases.advance(superframe);
-  EXPECT_EQ(leases.claim(99), SlotLeases::Claim::kWait);  // revokes it
+  map.advance(superframe);
+  EXPECT_EQ(map.claim(99), SlotMap::Claim::kWait);  // revokes it
   const std::uint32_t revoked = superframe;
-  while (leases.claim(99) != SlotLeases::Claim::kGranted && superframe < revoked + 1000)
-    leases.advance(++superframe);
+  while (map.claim(99) != SlotMap::Claim::kGranted && superframe < revoked + 1000) map.advance(++superframe);
   return superframe - revoked;
 }
 
 double joins_without_an_answer() {
   std::uint32_t nonces = 0;
-  ReplayGuard guard({.id = 1, .tag = true, .required = true, .boot_count = 1, .nonces = &nonces});
+  const groma_Schedule schedule = example_schedule();
+  const security::Key key{};
+  const Site site{.id = 1,
+                  .phy = dw1000::phy_of(Preamble::k128),
+                  .schedule = &schedule,
+                  .boot_count = 1,
+                  .network_key = key,
+                  .nonces = &nonces};
+  ReplayGuard guard(site);
   int sent = 0;
   for (std::uint32_t superframe = 0; !guard.hopeless() && superframe < 1000; ++superframe) {
     if (!guard.open_slot(superframe)) continue;

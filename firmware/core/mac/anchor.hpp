@@ -18,43 +18,20 @@
 
 namespace groma::mac {
 
-class Anchor {
+class Anchor final : public Station {
  public:
   // `counters` outlives the anchor.
   Anchor(const Site& site, groma_Counters& counters) noexcept;
 
-  [[nodiscard]] Step start(ranging::ClockTime now) noexcept;
-  [[nodiscard]] Step on_transmitted(ranging::ClockTime timestamp) noexcept;
-  [[nodiscard]] Step on_late(ranging::ClockTime now) noexcept;
-  [[nodiscard]] Step on_received(const Reception& reception) noexcept;
-  [[nodiscard]] Step on_timeout(ranging::ClockTime now) noexcept;
-  [[nodiscard]] Step on_error(ranging::ClockTime now) noexcept { return on_timeout(now); }
-  // Call after the radio was stopped and restarted: continues with the next action, with the time of the
-  // clock filter. A master that was away for a while listens before it leads again.
-  [[nodiscard]] Step resume(ranging::ClockTime now) noexcept;
-
-  // Run in the background of other work, see step.hpp.
-  void begin_verify(std::span<const std::uint8_t> frame) noexcept {
-    station_.begin_verify(frame, phase_ == Phase::kControl ? station_.control_place() : place());
-  }
-  void finish_signing() noexcept { station_.finish_signing(); }
   std::size_t precompute() noexcept;
-
-  void attach(ControlChannel& channel) noexcept { station_.attach(channel); }
-  [[nodiscard]] const AnchorMembership& membership() const noexcept { return membership_; }
   // As Tag::next_rx_window().
   [[nodiscard]] std::optional<Action> next_rx_window() const noexcept {
-    return phase_ == Phase::kControl ? station_.control_ahead() : std::nullopt;
+    return in_slots() ? std::nullopt : control_ahead();
   }
-  [[nodiscard]] const Station& station() const noexcept { return station_; }
-  void set_health(const Health& health) noexcept { station_.set_health(health); }
-  // Call before resume() if this node's clock has continued by another one, with an error of some us.
-  void on_clock_restart() noexcept;
-  // The superframe in progress.
-  [[nodiscard]] std::uint32_t superframe_number() const noexcept { return station_.superframe_number(); }
+  [[nodiscard]] const AnchorMembership& membership() const noexcept { return membership_; }
 
  private:
-  enum class Phase : std::uint8_t { kControl, kPoll, kResponse, kFinal };
+  enum class Phase : std::uint8_t { kPoll, kResponse, kFinal };  // of the slot
 
   // The last exchange with one tag.
   struct Record {
@@ -67,19 +44,31 @@ class Anchor {
     ranging::Ticks closing{};        // A3 - A2
   };
 
-  Action plan(ranging::ClockTime now) noexcept;
+  [[nodiscard]] std::optional<Action> slot_action(ranging::ClockTime now) noexcept override;
+  [[nodiscard]] Place slot_place() const noexcept override {
+    return {slots_of_, static_cast<std::uint8_t>(slot_)};
+  }
+  [[nodiscard]] Step slot_transmitted(ranging::ClockTime timestamp) noexcept override;
+  [[nodiscard]] Step slot_received(const Reception& reception) noexcept override;
+  void forget_exchanges() noexcept override;
+
   // The answer to a POLL heard in this slot, if the POLL asks for one.
   [[nodiscard]] std::optional<Action> answer(const Frame& frame, const Poll& poll,
                                              const Reception& reception) noexcept;
   // Listens for the slot's POLL. If none has come for a while, listens to the end of the slot: a frame there
   // belongs to another network.
   [[nodiscard]] Action listen_in_slot(ranging::ClockTime due) const noexcept;
+  void enter_next_slot() noexcept;
   void go_on_to(ranging::ClockTime now) noexcept;
+  // The slot's POLL is due no earlier or later than by this.
+  [[nodiscard]] ranging::Ticks tolerance() const noexcept {
+    return superframe().guard() + sync().margin(slots_of_);
+  }
   // The reception is where the POLL of the present slot is due.
   [[nodiscard]] bool in_time(const Reception& reception) const noexcept;
   // The tag in whose slot the POLL is sent: its sender, or the present slot's owner, which lent it.
   [[nodiscard]] std::uint16_t owner_for(const Frame& frame, const Poll& poll) const noexcept {
-    return poll.lent ? station_.slots().owner_of(slot_) : frame.source;
+    return poll.lent ? slots().owner_of(slot_) : frame.source;
   }
   // The POLL is in the present slot and its sender may poll there.
   [[nodiscard]] bool is_of_slot(const Frame& frame, const Poll& poll,
@@ -89,16 +78,9 @@ class Anchor {
   // The record of that tag, or the oldest one, cleared for it.
   [[nodiscard]] Record& record_of(std::uint16_t tag) noexcept;
   void close(const Frame& frame, const Final& final, const Reception& reception) noexcept;
-  Step listen_on_or(ranging::ClockTime now) noexcept;
-  Step doing(const Action& action) noexcept;
-  void end_superframe() noexcept;
 
-  Station station_;
   AnchorMembership membership_;
-  Phase phase_ = Phase::kControl;
-  Action doing_;
-  [[nodiscard]] Place place() const noexcept { return {slots_of_, static_cast<std::uint8_t>(slot_)}; }
-
+  Phase phase_ = Phase::kPoll;
   std::uint32_t slots_of_ = 0;                     // superframe that the slot indices refer to
   std::size_t next_slot_ = 0;                      // index of the next slot
   std::size_t slot_ = 0;                           // index of the present slot

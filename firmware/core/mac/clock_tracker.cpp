@@ -25,7 +25,6 @@ constexpr float kGateSigmas = 6.0F;
 void ClockTracker::seed(Ticks master, ClockTime local, std::int32_t master_offset_ppb,
                         std::int32_t offset_sigma_ppb) noexcept {
   const float rate_sigma_tps = static_cast<float>(offset_sigma_ppb) * kTicksPerSecondPerPpb;
-  seeded_ = true;
   reference_master_ = master;
   reference_local_ = local;
   fraction_ticks_ = 0.0F;

@@ -32,9 +32,6 @@ class ClockTracker {
   // stays exact.
   void rebase(ranging::Ticks master) noexcept;
 
-  // False before the first seed().
-  [[nodiscard]] bool seeded() const noexcept { return seeded_; }
-
   // This node's clock at the master's instant, rounded to a tick; valid up to 20 s from the last update.
   [[nodiscard]] ranging::ClockTime local(ranging::Ticks master) const noexcept;
   // The standard deviation of local(), rounded up.
@@ -56,7 +53,6 @@ class ClockTracker {
   [[nodiscard]] float seconds_since_reference(ranging::Ticks master) const noexcept;
   [[nodiscard]] Covariance predicted(float dt_s) const noexcept;
 
-  bool seeded_ = false;
   // The clock shows reference_local_ + fraction_ticks_ at the master's instant reference_master_.
   ranging::Ticks reference_master_;
   ranging::ClockTime reference_local_;

@@ -57,7 +57,8 @@ class Coexistence {
   Coexistence(const Site& site, MasterElection& election, std::uint32_t hash) noexcept;
 
   // Starts the search, at power-up or when the time is lost.
-  void search(ranging::ClockTime now) noexcept { search(now, 0); }
+  // Listens for `rounds` rounds of relaying more before it starts a session.
+  void search(ranging::ClockTime now, std::uint32_t rounds = 0) noexcept;
   // As MasterElection::on_traffic(), except while this node displaces a network with an older schedule.
   void on_traffic(ranging::ClockTime now) noexcept;
   // Starts a session, as MasterElection::found().
@@ -114,7 +115,6 @@ class Coexistence {
   }
 
  private:
-  void search(ranging::ClockTime now, std::uint32_t rounds) noexcept;
   void restart_pauses(std::uint32_t number) noexcept;
   void follow(std::uint16_t source, const Beacon& beacon) noexcept;
   // Its session has dissolved: starts to search for the other session. `number`: of its last beacon.

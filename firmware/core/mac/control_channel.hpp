@@ -31,18 +31,18 @@ class ControlChannel {
   [[nodiscard]] virtual bool wants_slot() const noexcept { return false; }
   // The frame of open_slot() or own_turn() has been sent, or was too late. Whether another node received it
   // is not known.
-  virtual void on_sent(std::uint32_t number, bool sent) noexcept = 0;
+  virtual void on_sent(std::uint32_t /*number*/, bool /*sent*/) noexcept {}
 
   // A JOIN or a DATA of this network to any destination, heard in superframe `number`. `leading`: this node
   // is the acting master.
   virtual void on_control(const Frame& frame, std::uint32_t number, bool leading) noexcept = 0;
 
   // A beacon of the followed network, from the master or a relay.
-  virtual void on_beacon(const Frame& frame, const Beacon& beacon) noexcept = 0;
+  virtual void on_beacon(const Frame& /*frame*/, const Beacon& /*beacon*/) noexcept {}
 
   // This node is about to send a beacon. As acting master (`leading`) it may change `owners`; otherwise it
   // relays. Either may add a challenge response.
-  virtual void on_beacon_out(Beacon& beacon, bool leading) noexcept = 0;
+  virtual void on_beacon_out(Beacon& /*beacon*/, bool /*leading*/) noexcept {}
 
  protected:
   ~ControlChannel() = default;

@@ -1,7 +1,8 @@
 #include "firmware/core/mac/frame.hpp"
 
 #include <algorithm>
-#include <utility>
+#include <concepts>
+#include <type_traits>
 
 namespace groma::mac {
 namespace {
@@ -9,190 +10,223 @@ namespace {
 // Data frame, PAN id compressed, short addresses (IEEE 802.15.4-2011, 5.2.1.1).
 constexpr std::uint16_t kFrameControl = 0x8841;
 
-// Flags.
-constexpr std::uint8_t kDissolving = 0x01;  // BEACON
-constexpr std::uint8_t kChallengeResponse = 0x02;
-constexpr std::uint8_t kShared = 0x04;
-constexpr std::uint8_t kMergeRequest = 0x08;
-constexpr std::uint8_t kQuiet = 0x10;
-constexpr std::uint8_t kLent = 0x80;          // POLL, with the slot
-constexpr std::uint8_t kClosingValid = 0x01;  // RESPONSE
-constexpr std::uint8_t kTag = 0x01;           // JOIN
-constexpr std::uint8_t kWantsSlot = 0x02;
-constexpr std::uint8_t kWantsChallengeResponse = 0x04;
-constexpr std::uint8_t kLeaving = 0x08;
-constexpr std::uint8_t kAcknowledgement = 0x01;  // DATA
-constexpr std::uint8_t kToHost = 0x02;
-constexpr std::uint8_t kAsks = 0x04;
-constexpr unsigned kHopsShift = 3;   // two bits
-constexpr unsigned kRoundShift = 5;  // three
-
-using Type = FrameType;
-
-constexpr std::uint8_t flag_if(bool set, std::uint8_t flag) noexcept {
-  return set ? flag : std::uint8_t{0};
-}
-
+// Reads the fields of transfer().
 class Reader {
  public:
+  static constexpr bool kReads = true;
+
   explicit Reader(std::span<const std::uint8_t> bytes) noexcept : rest_(bytes) {}
 
+  template <class T>
+  void number(T& value, std::size_t bytes = sizeof(T)) noexcept {
+    value = static_cast<T>(take(bytes));
+  }
+  void number(ranging::Ticks& ticks, std::size_t bytes) noexcept {
+    ticks = ranging::Ticks(static_cast<std::int64_t>(take(bytes)));
+  }
+  // One byte of fields with these widths, from bit 0 on. The bits above them must be 0.
+  template <class... Fields>
+  void bits(const std::array<unsigned, sizeof...(Fields)>& widths, Fields&... fields) noexcept {
+    auto byte = static_cast<unsigned>(take(1));
+    std::size_t i = 0;
+    const auto cut = [&](auto& field) {
+      field = static_cast<std::remove_reference_t<decltype(field)>>(byte & ((1U << widths[i]) - 1U));
+      byte >>= widths[i++];
+    };
+    (cut(fields), ...);
+    require(byte == 0);
+  }
+  template <std::size_t kMost>
+  void list(std::uint8_t& count, std::array<std::uint16_t, kMost>& ids) noexcept {
+    number(count);
+    require(count <= kMost);
+    for (std::size_t i = 0; good_ && i < count; ++i) number(ids[i]);
+  }
+  template <std::size_t kMost>
+  void rest(std::uint8_t& size, std::array<std::uint8_t, kMost>& bytes) noexcept {
+    require(rest_.size() <= kMost);
+    if (!good_) return;
+    size = static_cast<std::uint8_t>(rest_.size());
+    std::copy(rest_.begin(), rest_.end(), bytes.begin());
+    rest_ = {};
+  }
+  void require(bool holds) noexcept { good_ = good_ && holds; }
+
+  void drop_last(std::size_t count) noexcept {
+    require(rest_.size() >= count);
+    if (good_) rest_ = rest_.first(rest_.size() - count);
+  }
+  [[nodiscard]] bool good() const noexcept { return good_; }
+  [[nodiscard]] bool at_end() const noexcept { return good_ && rest_.empty(); }
+
+ private:
   // Returns 0 and clears good() if the bytes have run out.
   std::uint64_t take(std::size_t count) noexcept {
-    if (rest_.size() < count) {
-      good_ = false;
-      rest_ = {};
-      return 0;
-    }
+    require(rest_.size() >= count);
+    if (!good_) return 0;
     std::uint64_t value = 0;
     for (std::size_t i = 0; i < count; ++i) value |= std::uint64_t{rest_[i]} << (8 * i);
     rest_ = rest_.subspan(count);
     return value;
   }
-  std::uint8_t take8() noexcept { return static_cast<std::uint8_t>(take(1)); }
-  std::uint16_t take16() noexcept { return static_cast<std::uint16_t>(take(2)); }
-  std::uint32_t take32() noexcept { return static_cast<std::uint32_t>(take(4)); }
-  ranging::Ticks take_ticks(std::size_t count) noexcept {
-    return ranging::Ticks(static_cast<std::int64_t>(take(count)));
-  }
 
-  std::uint64_t take64() noexcept { return take(8); }
-  // Clears good() if an unknown flag is set.
-  std::uint8_t take_flags(std::uint8_t known) noexcept {
-    const std::uint8_t flags = take8();
-    if ((flags & ~known) != 0) good_ = false;
-    return flags;
-  }
-  bool drop_last(std::size_t count) noexcept {
-    if (rest_.size() < count) return false;
-    rest_ = rest_.first(rest_.size() - count);
-    return true;
-  }
-  std::span<const std::uint8_t> take_rest() noexcept { return std::exchange(rest_, {}); }
-
-  [[nodiscard]] bool good() const noexcept { return good_; }
-  [[nodiscard]] bool at_end() const noexcept { return good_ && rest_.empty(); }
-
- private:
   std::span<const std::uint8_t> rest_;
   bool good_ = true;
 };
 
-bool read(Reader& in, Beacon& beacon) noexcept {
-  beacon.superframe = in.take32();
-  beacon.session = in.take64();
-  beacon.epoch = in.take32();
-  beacon.schedule_hash = in.take32();
-  beacon.master = in.take16();
-  beacon.hop = in.take8();
-  beacon.age = in.take8();
-  beacon.tx_offset_dtu = static_cast<std::int16_t>(in.take16());
-  const std::uint8_t flags =
-      in.take_flags(kDissolving | kChallengeResponse | kShared | kMergeRequest | kQuiet);
-  beacon.dissolving = (flags & kDissolving) != 0;
-  beacon.shared = (flags & kShared) != 0;
-  beacon.merge_request = (flags & kMergeRequest) != 0;
-  beacon.quiet = (flags & kQuiet) != 0;
-  beacon.slots = in.take8();
-  if (beacon.slots > kMaxTags) return false;
-  for (std::size_t i = 0; i < beacon.slots; ++i) beacon.owners[i] = in.take16();
-  if ((flags & kChallengeResponse) != 0) {
-    const std::uint16_t id = in.take16();
-    beacon.challenge_response = ChallengeResponse{.id = id, .nonce = in.take64()};
+}  // namespace
+
+// Writes the fields of transfer().
+class FrameWriter {
+ public:
+  static constexpr bool kReads = false;
+
+  explicit FrameWriter(FrameBytes& out) noexcept : out_(out) { out_.size_ = 0; }
+
+  template <class T>
+  void number(const T& value, std::size_t bytes = sizeof(T)) noexcept {
+    put(static_cast<std::uint64_t>(value), bytes);
   }
-  if (beacon.merge_request) beacon.place = in.take_ticks(5);
-  return true;
+  void number(const ranging::Ticks& ticks, std::size_t bytes) noexcept {
+    put(static_cast<std::uint64_t>(ticks.count()), bytes);
+  }
+  template <class... Fields>
+  void bits(const std::array<unsigned, sizeof...(Fields)>& widths, const Fields&... fields) noexcept {
+    unsigned byte = 0;
+    unsigned at = 0;
+    std::size_t i = 0;
+    const auto join = [&](unsigned field) {
+      byte |= (field & ((1U << widths[i]) - 1U)) << at;
+      at += widths[i++];
+    };
+    (join(fields), ...);
+    put(byte, 1);
+  }
+  template <std::size_t kMost>
+  void list(std::uint8_t count, const std::array<std::uint16_t, kMost>& ids) noexcept {
+    const std::size_t most = std::min<std::size_t>(count, kMost);
+    put(most, 1);
+    for (std::size_t i = 0; i < most; ++i) put(ids[i], 2);
+  }
+  template <std::size_t kMost>
+  void rest(std::uint8_t size, const std::array<std::uint8_t, kMost>& bytes) noexcept {
+    for (std::size_t i = 0; i < std::min<std::size_t>(size, kMost); ++i) put(bytes[i], 1);
+  }
+  void require(bool /*holds*/) noexcept {}
+
+ private:
+  void put(std::uint64_t value, std::size_t count) noexcept {
+    for (std::size_t i = 0; i < count; ++i) {
+      out_.data_[out_.size_++] = static_cast<std::uint8_t>(value >> (8 * i));
+    }
+  }
+
+  FrameBytes& out_;
+};
+
+namespace {
+
+// The fields of each frame, in their order on the air: transfer() reads them or writes them.
+template <class T, class U>
+concept Is = std::same_as<std::remove_const_t<T>, U>;
+
+void transfer(auto& io, Is<Frame> auto& frame, std::uint16_t& frame_control, std::uint8_t& type) noexcept {
+  io.number(frame_control);
+  io.number(frame.sequence);
+  io.number(frame.network);
+  io.number(frame.destination);
+  io.number(frame.source);
+  io.number(type);
 }
 
-bool read(Reader& in, Poll& poll) noexcept {
-  poll.exchange = in.take16();
-  poll.superframe = in.take32();
-  const std::uint8_t slot = in.take8();
-  poll.slot = static_cast<std::uint8_t>(slot & ~kLent);
-  poll.lent = (slot & kLent) != 0;
-  poll.count = in.take8();
-  if (poll.count > kMaxAnchors) return false;
-  for (std::size_t i = 0; i < poll.count; ++i) poll.anchors[i] = in.take16();
-  return true;
+void transfer(auto& io, Is<Beacon> auto& beacon) noexcept {
+  bool responds = beacon.challenge_response.has_value();
+  io.number(beacon.superframe);
+  io.number(beacon.session);
+  io.number(beacon.epoch);
+  io.number(beacon.schedule_hash);
+  io.number(beacon.master);
+  io.number(beacon.hop);
+  io.number(beacon.age);
+  io.number(beacon.tx_offset_dtu);
+  io.bits({1, 1, 1, 1, 1}, beacon.dissolving, responds, beacon.shared, beacon.merge_request, beacon.quiet);
+  io.list(beacon.slots, beacon.owners);
+  if constexpr (std::remove_reference_t<decltype(io)>::kReads) {
+    if (responds) beacon.challenge_response.emplace();
+  }
+  if (responds) {
+    io.number(beacon.challenge_response->id);
+    io.number(beacon.challenge_response->nonce);
+  }
+  if (beacon.merge_request) io.number(beacon.place, 5);
 }
 
-bool read(Reader& in, Response& response) noexcept {
-  response.exchange = in.take16();
-  response.reply = in.take_ticks(4);
-  response.closing_valid = (in.take_flags(kClosingValid) & kClosingValid) != 0;
-  response.closed_exchange = in.take16();
-  response.closing = in.take_ticks(5);
-  response.health.temperature_c = static_cast<std::int8_t>(in.take8());
-  response.health.supply_64ths_v = in.take8();
-  return true;
+void transfer(auto& io, Is<Poll> auto& poll) noexcept {
+  io.number(poll.exchange);
+  io.number(poll.superframe);
+  io.bits({7, 1}, poll.slot, poll.lent);
+  io.list(poll.count, poll.anchors);
 }
 
-bool read(Reader& in, Final& final) noexcept {
-  final.exchange = in.take16();
-  return true;
+void transfer(auto& io, Is<Response> auto& response) noexcept {
+  io.number(response.exchange);
+  io.number(response.reply, 4);
+  io.bits({1}, response.closing_valid);
+  io.number(response.closed_exchange);
+  io.number(response.closing, 5);
+  io.number(response.health.temperature_c);
+  io.number(response.health.supply_64ths_v);
 }
 
-bool read(Reader& in, Join& join) noexcept {
-  join.origin = in.take16();
-  join.nonce = in.take64();
-  const std::uint8_t flags = in.take_flags(kTag | kWantsSlot | kWantsChallengeResponse | kLeaving);
-  join.tag = (flags & kTag) != 0;
-  join.wants_slot = (flags & kWantsSlot) != 0;
-  join.wants_challenge_response = (flags & kWantsChallengeResponse) != 0;
-  join.leaving = (flags & kLeaving) != 0;
-  return true;
+void transfer(auto& io, Is<Final> auto& final) noexcept {
+  io.number(final.exchange);
 }
 
-bool read(Reader& in, Data& data) noexcept {
-  data.origin = in.take16();
-  data.target = in.take16();
-  data.message = in.take8();
-  data.fragment = in.take8();
-  data.fragments = in.take8();
-  const std::uint8_t flags = in.take8();
-  data.acknowledgement = (flags & kAcknowledgement) != 0;
-  data.to_host = (flags & kToHost) != 0;
-  data.asks = (flags & kAsks) != 0;
-  data.hops_left = static_cast<std::uint8_t>((flags >> kHopsShift) & 3U);
-  data.round = static_cast<std::uint8_t>(flags >> kRoundShift);
-  const auto payload = in.take_rest();
-  if (payload.size() > kMaxDataBytes || data.fragment >= data.fragments) return false;
-  data.size = static_cast<std::uint8_t>(payload.size());
-  std::copy(payload.begin(), payload.end(), data.payload.begin());
-  return true;
+void transfer(auto& io, Is<Join> auto& join) noexcept {
+  io.number(join.origin);
+  io.number(join.nonce);
+  io.bits({1, 1, 1, 1}, join.tag, join.wants_slot, join.wants_challenge_response, join.leaving);
+}
+
+void transfer(auto& io, Is<Data> auto& data) noexcept {
+  io.number(data.origin);
+  io.number(data.target);
+  io.number(data.message);
+  io.number(data.fragment);
+  io.number(data.fragments);
+  io.require(data.fragment < data.fragments);
+  io.bits({1, 1, 1, 2, 3}, data.acknowledgement, data.to_host, data.asks, data.hops_left, data.round);
+  io.rest(data.size, data.payload);
 }
 
 // Reads in place: a body is large, and is read between two frames.
 template <class T>
-bool read_body(Reader& in, Body& body) noexcept {
+bool read_if(FrameType of, std::uint8_t type, Reader& in, Body& body) noexcept {
+  if (type != static_cast<std::uint8_t>(of)) return false;
   body = Body(T{});  // assigning a T could throw, as far as the compiler knows
   T* const place = std::get_if<T>(&body);
-  return place != nullptr && read(in, *place);
+  if (place != nullptr) transfer(in, *place);
+  return true;
 }
 
-bool read_body(Type type, Reader& in, Body& body) noexcept {
-  switch (type) {
-    case Type::kBeacon:
-      return read_body<Beacon>(in, body);
-    case Type::kPoll:
-      return read_body<Poll>(in, body);
-    case Type::kResponse:
-      return read_body<Response>(in, body);
-    case Type::kFinal:
-      return read_body<Final>(in, body);
-    case Type::kJoin:
-      return read_body<Join>(in, body);
-    case Type::kData:
-      return read_body<Data>(in, body);
-  }
-  return false;
+template <class T>
+bool write_if(FrameType of, const Frame& frame, FrameBytes& out) noexcept {
+  const T* const body = std::get_if<T>(&frame.body);
+  if (body == nullptr) return false;
+  FrameWriter writer(out);
+  std::uint16_t frame_control = kFrameControl;
+  auto type = static_cast<std::uint8_t>(static_cast<unsigned>(of) | (frame.secured ? kSecuredFlag : 0U));
+  transfer(writer, frame, frame_control, type);
+  transfer(writer, *body);
+  if (frame.secured) writer.number(std::uint64_t{0}, kCodeBytes);
+  return true;
 }
 
 }  // namespace
 
 bool looks_like_poll(std::span<const std::uint8_t> bytes) noexcept {
   return bytes.size() >= kHeaderBytes &&
-         (bytes[kHeaderBytes - 1] & ~unsigned{kSecuredFlag}) == static_cast<unsigned>(Type::kPoll);
+         (bytes[kHeaderBytes - 1] & ~unsigned{kSecuredFlag}) == static_cast<unsigned>(FrameType::kPoll);
 }
 
 ParseResult parse(std::span<const std::uint8_t> bytes) noexcept {
@@ -203,138 +237,24 @@ ParseResult parse(std::span<const std::uint8_t> bytes) noexcept {
 
 std::optional<ParseError> parse(std::span<const std::uint8_t> bytes, Frame& frame) noexcept {
   Reader in(bytes);
-  const std::uint16_t frame_control = in.take16();
-  frame.sequence = in.take8();
-  frame.network = in.take16();
-  frame.destination = in.take16();
-  frame.source = in.take16();
-  const std::uint8_t type = in.take8();
+  std::uint16_t frame_control = 0;
+  std::uint8_t type = 0;
+  transfer(in, frame, frame_control, type);
   if (!in.good() || frame_control != kFrameControl) return ParseError::kForeign;
   frame.secured = (type & kSecuredFlag) != 0;
-  if (frame.secured && !in.drop_last(kCodeBytes)) return ParseError::kMalformed;
-  const bool read = read_body(static_cast<Type>(type & ~kSecuredFlag), in, frame.body);
+  if (frame.secured) in.drop_last(kCodeBytes);
+  type = static_cast<std::uint8_t>(type & ~kSecuredFlag);
+  using enum FrameType;
+  const bool read =
+      read_if<Response>(kResponse, type, in, frame.body) || read_if<Poll>(kPoll, type, in, frame.body) ||
+      read_if<Beacon>(kBeacon, type, in, frame.body) || read_if<Final>(kFinal, type, in, frame.body) ||
+      read_if<Join>(kJoin, type, in, frame.body) || read_if<Data>(kData, type, in, frame.body);
   return read && in.at_end() ? std::nullopt : std::optional(ParseError::kMalformed);
 }
-
-class FrameWriter {
- public:
-  FrameWriter(const Frame& frame, Type type, FrameBytes& out) noexcept : secured_(frame.secured), out_(out) {
-    out_.size_ = 0;
-    put(kFrameControl, 2);
-    put(frame.sequence, 1);
-    put(frame.network, 2);
-    put(frame.destination, 2);
-    put(frame.source, 2);
-    put(static_cast<std::uint8_t>(type) | flag_if(secured_, kSecuredFlag), 1);
-  }
-  void put(std::uint64_t value, std::size_t count) noexcept {
-    for (std::size_t i = 0; i < count; ++i) {
-      out_.data_[out_.size_++] = static_cast<std::uint8_t>(value >> (8 * i));
-    }
-  }
-  void put(ranging::Ticks ticks, std::size_t count) noexcept {
-    put(static_cast<std::uint64_t>(ticks.count()), count);
-  }
-  void put(std::span<const std::uint8_t> bytes) noexcept {
-    std::copy(bytes.begin(), bytes.end(), out_.data_.begin() + static_cast<std::ptrdiff_t>(out_.size_));
-    out_.size_ += bytes.size();
-  }
-  void end() noexcept {
-    if (secured_) put(std::uint64_t{0}, kCodeBytes);
-  }
-
- private:
-  bool secured_;
-  FrameBytes& out_;
-};
 
 std::span<std::uint8_t> FrameBytes::code() noexcept {
   return std::span(data_).first(size_).last(size_ < kCodeBytes ? 0 : kCodeBytes);
 }
-
-namespace {
-
-void write(const Beacon& beacon, FrameWriter& out) noexcept {
-  out.put(beacon.superframe, 4);
-  out.put(beacon.session, 8);
-  out.put(beacon.epoch, 4);
-  out.put(beacon.schedule_hash, 4);
-  out.put(beacon.master, 2);
-  out.put(beacon.hop, 1);
-  out.put(beacon.age, 1);
-  out.put(static_cast<std::uint16_t>(beacon.tx_offset_dtu), 2);
-  out.put(flag_if(beacon.dissolving, kDissolving) |
-              flag_if(beacon.challenge_response.has_value(), kChallengeResponse) |
-              flag_if(beacon.shared, kShared) | flag_if(beacon.merge_request, kMergeRequest) |
-              flag_if(beacon.quiet, kQuiet),
-          1);
-  const std::size_t slots = std::min<std::size_t>(beacon.slots, kMaxTags);
-  out.put(slots, 1);
-  for (std::size_t i = 0; i < slots; ++i) out.put(beacon.owners[i], 2);
-  if (beacon.challenge_response) {
-    out.put(beacon.challenge_response->id, 2);
-    out.put(beacon.challenge_response->nonce, 8);
-  }
-  if (beacon.merge_request) out.put(beacon.place, 5);
-}
-
-void write(const Poll& poll, FrameWriter& out) noexcept {
-  out.put(poll.exchange, 2);
-  out.put(poll.superframe, 4);
-  out.put(poll.slot | unsigned{flag_if(poll.lent, kLent)}, 1);
-  const std::size_t count = std::min<std::size_t>(poll.count, kMaxAnchors);
-  out.put(count, 1);
-  for (std::size_t i = 0; i < count; ++i) out.put(poll.anchors[i], 2);
-}
-
-void write(const Response& response, FrameWriter& out) noexcept {
-  out.put(response.exchange, 2);
-  out.put(response.reply, 4);
-  out.put(flag_if(response.closing_valid, kClosingValid), 1);
-  out.put(response.closed_exchange, 2);
-  out.put(response.closing, 5);
-  out.put(static_cast<std::uint8_t>(response.health.temperature_c), 1);
-  out.put(response.health.supply_64ths_v, 1);
-}
-
-void write(const Final& final, FrameWriter& out) noexcept {
-  out.put(final.exchange, 2);
-}
-
-void write(const Join& join, FrameWriter& out) noexcept {
-  out.put(join.origin, 2);
-  out.put(join.nonce, 8);
-  out.put(flag_if(join.tag, kTag) | flag_if(join.wants_slot, kWantsSlot) |
-              flag_if(join.wants_challenge_response, kWantsChallengeResponse) |
-              flag_if(join.leaving, kLeaving),
-          1);
-}
-
-void write(const Data& data, FrameWriter& out) noexcept {
-  out.put(data.origin, 2);
-  out.put(data.target, 2);
-  out.put(data.message, 1);
-  out.put(data.fragment, 1);
-  out.put(data.fragments, 1);
-  out.put(static_cast<std::uint8_t>(flag_if(data.acknowledgement, kAcknowledgement) |
-                                    flag_if(data.to_host, kToHost) | flag_if(data.asks, kAsks) |
-                                    (data.hops_left & 3U) << kHopsShift |
-                                    static_cast<unsigned>(data.round) << kRoundShift),
-          1);
-  out.put(std::span(data.payload).first(std::min<std::size_t>(data.size, kMaxDataBytes)));
-}
-
-template <class T>
-bool write_if(Type type, const Frame& frame, FrameBytes& out) noexcept {
-  const T* const body = std::get_if<T>(&frame.body);
-  if (body == nullptr) return false;
-  FrameWriter writer(frame, type, out);
-  write(*body, writer);
-  writer.end();
-  return true;
-}
-
-}  // namespace
 
 FrameBytes serialize(const Frame& frame) noexcept {
   FrameBytes out;
@@ -344,9 +264,10 @@ FrameBytes serialize(const Frame& frame) noexcept {
 
 // Avoids std::visit, which could throw, as far as the compiler knows.
 void serialize(const Frame& frame, FrameBytes& out) noexcept {
-  (void)(write_if<Response>(Type::kResponse, frame, out) || write_if<Poll>(Type::kPoll, frame, out) ||
-         write_if<Beacon>(Type::kBeacon, frame, out) || write_if<Final>(Type::kFinal, frame, out) ||
-         write_if<Join>(Type::kJoin, frame, out) || write_if<Data>(Type::kData, frame, out));
+  using enum FrameType;
+  (void)(write_if<Response>(kResponse, frame, out) || write_if<Poll>(kPoll, frame, out) ||
+         write_if<Beacon>(kBeacon, frame, out) || write_if<Final>(kFinal, frame, out) ||
+         write_if<Join>(kJoin, frame, out) || write_if<Data>(kData, frame, out));
 }
 
 }  // namespace groma::mac

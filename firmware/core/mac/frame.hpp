@@ -1,20 +1,6 @@
 // The frames on the air: IEEE 802.15.4 data frames with short addresses, one type byte and a body,
-// little-endian. The chip appends the frame check.
-//
-//   FCF 0x8841 (2)  sequence (1)  network (2)  destination (2)  source (2)  type (1)  body  [MIC (8)]
-//
-//   BEACON    superframe (4)  session (8)  epoch (4)  schedule hash (4)  master (2)  hop (1)  age (1)
-//             tx offset (2)  flags (1)  slots (1)  slot owners (2 each)  [challenger (2)  nonce (8)]
-//   POLL      exchange (2)  superframe (4)  slot (1)  count (1)  anchor ids in the order of answers (2 each)
-//             the slot's top bit: its owner has lent it to the sender
-//   RESPONSE  exchange (2)  reply interval (4)  flags (1)  closed exchange (2)  closing interval (5)
-//             temperature (1)  supply (1)
-//   FINAL     exchange (2)
-//   JOIN      origin (2)  nonce (8)  flags (1)
-//   DATA      origin (2)  target (2)  message (1)  fragment (1)  fragments (1)  flags (1)  payload
-//
-// BEACON, JOIN and DATA fit the control slots (kMaxControlBytes). The type byte's top bit says that a MIC
-// follows the body: see frame_authenticator.hpp.
+// little-endian. docs/reference/air.md specifies their bytes. BEACON, JOIN and DATA fit the control slots
+// (kMaxControlBytes). The type byte's top bit says that a MIC follows the body: see frame_authenticator.hpp.
 #pragma once
 
 #include <array>
@@ -35,14 +21,7 @@ inline constexpr std::size_t kMaxAnchors = 16;  // in one POLL
 inline constexpr std::size_t kMaxTags = 16;     // slots in one superframe
 inline constexpr std::size_t kMaxDataBytes = 48;
 
-enum class FrameType : std::uint8_t {
-  kBeacon = 1,
-  kPoll = 2,
-  kResponse = 3,
-  kFinal = 4,
-  kJoin = 5,
-  kData = 6
-};
+enum class FrameType : std::uint8_t { kBeacon = 1, kPoll, kResponse, kFinal, kJoin, kData };
 inline constexpr std::uint8_t kSecuredFlag = 0x80;  // of the type byte
 
 // Response to the challenge in a JOIN: repeats the nonce, which proves to its sender that this frame is no
@@ -56,8 +35,7 @@ struct ChallengeResponse {
 // Sent by the master at the start of a superframe, and relayed by the back-ups.
 struct Beacon {
   std::uint32_t superframe = 0;
-  std::uint64_t session =
-      0;  // unique: id and boot count of the node that started it, and a count within the boot
+  std::uint64_t session = 0;  // unique: starter's id and boot count, and a count within the boot
   std::uint32_t epoch = 0;
   std::uint32_t schedule_hash = 0;
   std::uint16_t master = kNobody;  // the acting master

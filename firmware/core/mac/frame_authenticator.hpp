@@ -32,6 +32,7 @@
 #include <cstdint>
 #include <optional>
 #include <span>
+#include <string_view>
 
 #include "firmware/core/mac/frame.hpp"
 #include "firmware/core/security/ccm.hpp"
@@ -142,19 +143,21 @@ class FrameAuthenticator {
                                                       const MergeTarget& merge_target) noexcept;
   // In the present session.
   [[nodiscard]] std::optional<security::Key> challenge_key(std::uint64_t nonce) noexcept;
-  void begin_signing(const FrameBytes& frame, Place place, const std::optional<security::Key>& key) noexcept;
-  [[nodiscard]] bool fits(std::span<const std::uint8_t> frame, Place place,
-                          const std::optional<security::Key>& key) noexcept;
+  // AES(key, number (8) | text (up to 8, or 4 before `last`) | last (4)).
+  [[nodiscard]] std::optional<security::Key> derive(const security::Key& key, std::uint64_t number,
+                                                    std::string_view text, std::uint32_t last = 0) noexcept;
   [[nodiscard]] bool may_sign(std::size_t kind, Place place) noexcept {
     return signed_places_ != nullptr && signed_places_->take(session_, kind, place);
   }
   void expect(std::optional<Expected>& out, std::uint64_t nonce) noexcept;
-  void begin_check(std::span<const std::uint8_t> frame, std::uint64_t nonce) noexcept;
-  // Starts a MIC, with the session's key or with `key`, and returns its mask.
-  [[nodiscard]] std::optional<security::Block> begin(std::uint64_t nonce,
-                                                     std::span<const std::uint8_t> bytes) noexcept;
-  [[nodiscard]] std::optional<security::Block> begin(const security::Key& key, std::uint64_t nonce,
-                                                     std::span<const std::uint8_t> bytes) noexcept;
+  // Starts the frame's MIC with this key, and returns its mask. `expected` was precomputed with that key.
+  [[nodiscard]] std::optional<security::Block> begin(const std::optional<security::Key>& key,
+                                                     const std::optional<Expected>& expected,
+                                                     std::span<const std::uint8_t> frame,
+                                                     Place place) noexcept;
+  // The computation that begin() started gives the frame's MIC.
+  [[nodiscard]] bool ends_as(std::span<const std::uint8_t> frame,
+                             const std::optional<security::Block>& mask) noexcept;
 
   security::BlockCipher* cipher_ = nullptr;
   std::span<const std::uint8_t> network_key_{};

@@ -36,7 +36,7 @@ TagMembership::TagMembership(std::uint16_t id, const groma_Schedule& schedule, c
     : id_(id),
       owner_(lender != kNobody ? lender : id),
       slots_(slots),
-      anchors_(std::span(schedule.anchor_ids).first(schedule.anchor_ids_count)),
+      anchors_(anchors_of(schedule)),
       queue_(id) {}
 
 void TagMembership::leave() noexcept {
@@ -76,11 +76,10 @@ AnchorMembership::AnchorMembership(std::uint16_t id, const groma_Schedule& sched
       beaconer_(rank_of(schedule, id).has_value()),
       listed_(std::count(schedule.anchor_ids, schedule.anchor_ids + schedule.anchor_ids_count, id) != 0),
       slots_(slots),
-      leases_(slots),
       queue_(id) {}
 
 void AnchorMembership::on_poll(std::uint16_t tag, std::size_t slot, bool named) noexcept {
-  leases_.hear(tag, slot);
+  slots_.hear(tag, slot);
   // The polling tag knows this anchor. Other tags in range will soon learn of it as well.
   if (!named || !listed_) return;
   announcing_ = Announcing::kDone;
@@ -88,21 +87,15 @@ void AnchorMembership::on_poll(std::uint16_t tag, std::size_t slot, bool named) 
 }
 
 void AnchorMembership::announce(std::uint32_t number) noexcept {
-  const std::uint32_t ahead = next_announcement_ - number;
-  switch (announcing_) {
-    case Announcing::kNotYet:
-      announcing_ = Announcing::kSoon;
-      next_announcement_ = number + kBeforeAnnouncing;
-      return;
-    case Announcing::kSoon:
-      if (ahead != 0 && ahead <= kBeforeAnnouncing) return;
-      queue_.want(Purpose::kAnnounce, {.origin = id_}, kAnnounce, number);
-      break;
-    case Announcing::kDone:
-      if (listed_ || (ahead != 0 && ahead <= kRemindEach)) return;
-      queue_.want(Purpose::kAnnounce, {.origin = id_}, kRemind, number);
-      break;
+  if (announcing_ == Announcing::kNotYet) {
+    announcing_ = Announcing::kSoon;
+    next_announcement_ = number + kBeforeAnnouncing;
   }
+  const bool first = announcing_ == Announcing::kSoon;
+  if (!first && listed_) return;
+  const std::uint32_t ahead = next_announcement_ - number;
+  if (ahead != 0 && ahead <= (first ? kBeforeAnnouncing : kRemindEach)) return;
+  queue_.want(Purpose::kAnnounce, {.origin = id_}, first ? kAnnounce : kRemind, number);
   announcing_ = Announcing::kDone;
   next_announcement_ = number + kRemindEach;
 }
@@ -122,12 +115,12 @@ void AnchorMembership::on_control(const Frame& frame, std::uint32_t number, bool
   const auto* join = std::get_if<Join>(&frame.body);
   if (join == nullptr || !join->tag) return;
   if (leading) {
-    if (!leases_.leads()) return;  // not before its first beacon
-    leases_.advance(number);
+    if (!slots_.leads()) return;  // not before its first beacon
+    slots_.advance(number);
     if (join->leaving) {
-      leases_.leave(join->origin);
+      slots_.leave(join->origin);
     } else if (join->wants_slot) {
-      (void)leases_.claim(join->origin);
+      (void)slots_.claim(join->origin);
     }
   } else if (beaconer_ && (join->leaving || join->wants_slot)) {
     consider_passing_on(frame, *join, number);
@@ -139,34 +132,26 @@ void AnchorMembership::on_control(const Frame& frame, std::uint32_t number, bool
 void AnchorMembership::consider_passing_on(const Frame& frame, const Join& join,
                                            std::uint32_t number) noexcept {
   const Join& pending = queue_.join(Purpose::kPassOn);
-  const auto low = static_cast<std::uint32_t>(join.nonce);
-  const bool seen = std::any_of(passed_.begin(), passed_.end(),
-                                [&](const Passed& p) { return p.origin == join.origin && p.nonce == low; });
-  if (seen) {
+  const std::uint64_t request = std::uint64_t{join.origin} << 32 | static_cast<std::uint32_t>(join.nonce);
+  if (std::find(passed_.begin(), passed_.end(), request) != passed_.end()) {
     const bool by_another = frame.source != join.origin;
     if (by_another && pending.origin == join.origin) queue_.settle(Purpose::kPassOn);
     return;
   }
   if (queue_.pending(Purpose::kPassOn) && pending.origin != join.origin) return;
-  passed_[next_passed_++ % passed_.size()] = {join.origin, low};
+  passed_[next_passed_++ % passed_.size()] = request;
   passed_on_since_ = number;
   queue_.want(Purpose::kPassOn, join, kPassOn, number);
 }
 
-void AnchorMembership::on_beacon(const Frame& /*frame*/, const Beacon& beacon) noexcept {
-  leases_.advance(beacon.superframe);
-  leases_.follow(beacon.session);
+void AnchorMembership::on_beacon(const Frame& /*frame*/, const Beacon& /*beacon*/) noexcept {
   const Join& pending = queue_.join(Purpose::kPassOn);
   const bool holds = slots_.slot_of(pending.origin).has_value();
   if (holds != pending.leaving) queue_.settle(Purpose::kPassOn);  // the master knows
 }
 
 void AnchorMembership::on_beacon_out(Beacon& beacon, bool leading) noexcept {
-  if (!leading) return;
-  leases_.advance(beacon.superframe);
-  leases_.lead(beacon.session);
-  leases_.reclaim();
-  slots_.fill(beacon);
+  if (leading) slots_.lead(beacon);
 }
 
 }  // namespace groma::mac

@@ -18,7 +18,6 @@
 #include "firmware/core/mac/control_channel.hpp"
 #include "firmware/core/mac/frame.hpp"
 #include "firmware/core/mac/open_slot_queue.hpp"
-#include "firmware/core/mac/slot_leases.hpp"
 #include "firmware/core/mac/slot_map.hpp"
 #include "groma.pb.h"
 
@@ -49,7 +48,6 @@ class TagMembership final : public ControlChannel {
   void on_sent(std::uint32_t /*number*/, bool sent) noexcept override { queue_.on_sent(sent); }
   void on_control(const Frame& frame, std::uint32_t number, bool leading) noexcept override;
   void on_beacon(const Frame& frame, const Beacon& beacon) noexcept override;
-  void on_beacon_out(Beacon& /*beacon*/, bool /*leading*/) noexcept override {}
 
  private:
   std::uint16_t id_;
@@ -77,11 +75,6 @@ class AnchorMembership final : public ControlChannel {
   void on_beacon_out(Beacon& beacon, bool leading) noexcept override;
 
  private:
-  struct Passed {
-    std::uint16_t origin = kNobody;
-    std::uint32_t nonce = 0;  // its lower half
-  };
-
   void announce(std::uint32_t number) noexcept;
   void consider_passing_on(const Frame& frame, const Join& join, std::uint32_t number) noexcept;
 
@@ -92,10 +85,9 @@ class AnchorMembership final : public ControlChannel {
   enum class Announcing : std::uint8_t { kNotYet, kSoon, kDone };
   Announcing announcing_ = Announcing::kNotYet;
   SlotMap& slots_;
-  SlotLeases leases_;
   OpenSlotQueue queue_;
-  std::uint32_t passed_on_since_ = 0;  // superframe of the last request to be relayed
-  std::array<Passed, 4> passed_{};
+  std::uint32_t passed_on_since_ = 0;      // superframe of the last request to be relayed
+  std::array<std::uint64_t, 4> passed_{};  // origin and lower half of the nonce of the last requests
   std::size_t next_passed_ = 0;
 };
 

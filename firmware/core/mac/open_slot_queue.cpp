@@ -7,11 +7,10 @@
 
 namespace groma::mac {
 
-std::uint16_t OpenSlotQueue::draw(Purpose purpose, std::uint32_t number,
-                                  std::uint8_t window_log2) const noexcept {
+std::uint16_t OpenSlotQueue::draw(Purpose purpose, std::uint32_t number) const noexcept {
   const std::uint32_t h = mix(number ^ (std::uint32_t{id_} << 16 | std::uint32_t{id_} >> 3) ^
                               static_cast<std::uint32_t>(purpose) * 0x9E37'79B9U);
-  return static_cast<std::uint16_t>(h & ((1U << window_log2) - 1U));
+  return static_cast<std::uint16_t>(h & ((1U << at(purpose).left.first_window_log2) - 1U));
 }
 
 void OpenSlotQueue::want(Purpose purpose, const Join& join, const Repetition& repetition,
@@ -20,10 +19,8 @@ void OpenSlotQueue::want(Purpose purpose, const Join& join, const Repetition& re
   p.join = join;
   if (p.pending) return;
   p.pending = true;
-  p.window_log2 = repetition.first_window_log2;
-  p.last_window_log2 = repetition.last_window_log2;
-  p.times_left = repetition.times;
-  p.wait = draw(purpose, number, p.window_log2);
+  p.left = repetition;
+  p.wait = draw(purpose, number);
 }
 
 std::optional<Join> OpenSlotQueue::turn(std::uint32_t number) noexcept {
@@ -47,13 +44,14 @@ std::optional<Join> OpenSlotQueue::turn(std::uint32_t number) noexcept {
 
 void OpenSlotQueue::repeat_later(Purpose purpose, std::uint32_t number) noexcept {
   Pending& p = at(purpose);
-  if (p.times_left == 1) {
+  if (p.left.times == 1) {
     p.pending = false;
     return;
   }
-  if (p.times_left > 1) --p.times_left;
-  p.window_log2 = std::min(static_cast<std::uint8_t>(p.window_log2 + 1), p.last_window_log2);
-  p.wait = draw(purpose, number, p.window_log2);
+  if (p.left.times > 1) --p.left.times;
+  p.left.first_window_log2 =
+      std::min(static_cast<std::uint8_t>(p.left.first_window_log2 + 1), p.left.last_window_log2);
+  p.wait = draw(purpose, number);
 }
 
 std::optional<Join> OpenSlotQueue::take(Purpose purpose) noexcept {
@@ -69,9 +67,9 @@ void OpenSlotQueue::on_sent(bool sent) noexcept {
   Pending& p = at(*purpose);
   if (!p.pending) {
     p.pending = true;
-    p.times_left = 1;
-  } else if (p.times_left > 0) {
-    ++p.times_left;
+    p.left.times = 1;
+  } else if (p.left.times > 0) {
+    ++p.left.times;
   }
   p.wait = 0;
 }

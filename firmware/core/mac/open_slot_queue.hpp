@@ -50,18 +50,16 @@ class OpenSlotQueue {
   struct Pending {
     Join join{};
     bool pending = false;
-    std::uint8_t window_log2 = 0;
-    std::uint8_t last_window_log2 = 0;
-    std::uint8_t times_left = 0;  // 0: no bound
-    std::uint16_t wait = 0;       // open slots to skip
+    Repetition left{};       // from the next transmission on
+    std::uint16_t wait = 0;  // open slots to skip
   };
 
   [[nodiscard]] Pending& at(Purpose purpose) noexcept { return pending_[static_cast<std::size_t>(purpose)]; }
   [[nodiscard]] const Pending& at(Purpose purpose) const noexcept {
     return pending_[static_cast<std::size_t>(purpose)];
   }
-  [[nodiscard]] std::uint16_t draw(Purpose purpose, std::uint32_t number,
-                                   std::uint8_t window_log2) const noexcept;
+  // The open slots to skip, before superframe `number`, for the first window of what is left.
+  [[nodiscard]] std::uint16_t draw(Purpose purpose, std::uint32_t number) const noexcept;
   void repeat_later(Purpose purpose, std::uint32_t number) noexcept;
 
   std::uint16_t id_;

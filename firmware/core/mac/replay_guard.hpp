@@ -12,26 +12,16 @@
 
 #include "firmware/core/mac/control_channel.hpp"
 #include "firmware/core/mac/frame.hpp"
+#include "firmware/core/mac/site.hpp"
 
 namespace groma::mac {
 
 class ReplayGuard final : public ControlChannel {
  public:
-  // `required`: the network has a key; without one every frame is trusted. `boot_count`: this boot's number,
-  // never used before; `nonces`: how many were made in this boot, outlives this object. `turn` of `turns`:
-  // the nodes that the schedule names take turns in the open slots, so that nodes that start together do not
-  // collide forever. `relays`: the size of Schedule.backup_ids.
-  struct Settings {
-    std::uint16_t id = kNobody;
-    bool tag = false;
-    bool required = false;
-    std::uint32_t boot_count = 0;
-    std::uint32_t* nonces = nullptr;
-    std::uint32_t turn = 0;
-    std::uint32_t turns = 1;
-    std::uint32_t relays = 0;
-  };
-  explicit ReplayGuard(const Settings& settings) noexcept : settings_(settings), fresh_(!settings.required) {}
+  // `site` outlives this object. In an open network every frame is trusted. The nodes that the schedule names
+  // take turns in the open slots, so that nodes that start together do not collide forever; other nodes
+  // derive their turns from their ids.
+  explicit ReplayGuard(const Site& site) noexcept;
 
   // Discards all trust: the node searches.
   void forget() noexcept;
@@ -52,8 +42,11 @@ class ReplayGuard final : public ControlChannel {
  private:
   static constexpr std::uint32_t kMostAsked = 8;
 
-  Settings settings_;
+  const Site& site_;
   bool fresh_;
+  bool tag_;
+  std::uint32_t turns_;
+  std::uint32_t turn_;
   std::uint64_t nonce_ = 0;  // 0: none made yet
   std::uint32_t asked_ = 0;
   ChallengeResponse pending_answer_{};  // the response to the last challenge received

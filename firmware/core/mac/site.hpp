@@ -23,7 +23,7 @@ struct Site {
   const std::optional<std::uint64_t>* lent_until_us = nullptr;
   std::uint16_t network_id = 0;
   radio::Phy phy;  // the same at all nodes of the network, except for what the air does not show
-  const groma_Schedule* schedule = nullptr;  // passed check(); outlives its users
+  const groma_Schedule* schedule = nullptr;  // fault_of() is empty; outlives its users
   ranging::Ticks transmit_antenna_delay{};
   std::uint32_t boot_count = 0;  // number of this boot; with `sessions` it makes a session id unique
   bool on_trial = false;         // the schedule came over the air and is on trial

@@ -1,15 +1,16 @@
 // The common part of tag and anchor: sending and accepting frames, synchronization, and all of a superframe
-// except its tag slots.
+// except its tag slots, in which it calls the functions slot_...() of the derived class.
 //
-//   searching --beacon--> | beacon | shared | (tag slots: the machine's own) | beacon | shared | ...
+//   searching --beacon--> | beacon | shared | tag slots | beacon | shared | ...
 //
-// The machine calls control() for the next action and passes that action's events to the station. If
-// control() returns nothing, the tag slots of superframe_number() are next; end_superframe() ends them.
+// step.hpp describes the events and their order.
 #pragma once
 
 #include <array>
+#include <cstddef>
 #include <cstdint>
 #include <optional>
+#include <span>
 
 #include "firmware/core/mac/coexistence.hpp"
 #include "firmware/core/mac/control_channel.hpp"
@@ -28,33 +29,40 @@ namespace groma::mac {
 
 class Station {
  public:
-  // Time that a node needs between two actions.
-  static constexpr ranging::Ticks kToGetReady = ranging::Ticks::from_us(300);
-
-  // `counters` outlives the station, as does what the site points to.
-  Station(const Site& site, groma_Counters& counters) noexcept;
   Station(const Station&) = delete;
   Station& operator=(const Station&) = delete;
-  ~Station() = default;
 
   // Up to two channels, which outlive the station.
   void attach(ControlChannel& channel) noexcept;
 
-  [[nodiscard]] const Site& site() const noexcept { return site_; }
-  [[nodiscard]] const groma_Schedule& schedule() const noexcept { return *site_.schedule; }
-  [[nodiscard]] const Superframe& superframe() const noexcept { return superframe_; }
-  [[nodiscard]] std::uint32_t hash() const noexcept { return hash_; }
-  [[nodiscard]] groma_Counters& counters() noexcept { return counters_; }
-  [[nodiscard]] const Synchronizer& sync() const noexcept { return sync_; }
-  [[nodiscard]] const MasterElection& election() const noexcept { return election_; }
-  // Follows the beacons. At the master a channel may change it in on_control() and on_beacon_out().
-  [[nodiscard]] SlotMap& slots() noexcept { return slots_; }
-  [[nodiscard]] const SlotMap& slots() const noexcept { return slots_; }
+  // Starts the search.
+  [[nodiscard]] Step start(ranging::ClockTime now) noexcept;
+  [[nodiscard]] Step on_transmitted(ranging::ClockTime timestamp) noexcept;
+  [[nodiscard]] Step on_late(ranging::ClockTime now) noexcept;
+  [[nodiscard]] Step on_received(const Reception& reception) noexcept;
+  [[nodiscard]] Step on_timeout(ranging::ClockTime now) noexcept;
+  [[nodiscard]] Step on_error(ranging::ClockTime now) noexcept { return on_timeout(now); }
+  // Call after the radio was stopped and restarted: continues with the next action, with the time of the
+  // clock filter. A master that was away for a while listens before it leads again.
+  [[nodiscard]] Step resume(ranging::ClockTime now) noexcept;
+  // Call before resume() if this node's clock has continued by another one, with an error of some us.
+  void on_clock_restart() noexcept;
+  // Run in the background of other work.
+  void begin_verify(std::span<const std::uint8_t> frame) noexcept {
+    authenticator_.begin_verify(frame, in_slots() ? slot_place() : control_place());
+  }
+  void finish_signing() noexcept { authenticator_.finish_signing(outgoing_); }
 
   // Of this node's chip, sent to others.
-  [[nodiscard]] const Health& health() const noexcept { return health_; }
   void set_health(const Health& health) noexcept { health_ = health; }
 
+  [[nodiscard]] const Superframe& superframe() const noexcept { return superframe_; }
+  [[nodiscard]] const Synchronizer& sync() const noexcept { return sync_; }
+  [[nodiscard]] const MasterElection& election() const noexcept { return election_; }
+  // The superframe in progress; after a tag's slot the next one.
+  [[nodiscard]] std::uint32_t superframe_number() const noexcept { return number_; }
+  // Replay has been excluded for this session.
+  [[nodiscard]] bool fresh() const noexcept { return replay_guard_.fresh(); }
   // Network time when this node's clock shows `local`, now or recently: the superframe number times the
   // duration, plus the time into the superframe, in ticks of network time. Nothing while searching.
   [[nodiscard]] std::optional<ranging::Ticks> network_time(ranging::ClockTime local) const noexcept {
@@ -62,40 +70,61 @@ class Station {
     return sync_.network_time(local);
   }
 
-  // ---- the sequence of a superframe ----------------------------------------------------------------------
+  // Listens in a slot of this kind for a frame of up to `bytes` whose RMARKER is due at `due`: hunts for its
+  // preamble from guard plus `slack` before to guard plus `slack` after. The receiver starts earlier by
+  // Phy::receiver_start().
+  [[nodiscard]] Action listen(SlotKind slot, ranging::ClockTime due, std::size_t bytes,
+                              ranging::Ticks slack) const noexcept;
 
-  // Starts the search.
-  void start(ranging::ClockTime now) noexcept;
-  // Call after the radio was stopped and restarted.
-  void resume(ranging::ClockTime now) noexcept;
-  // Call before resume() if this node's clock has continued by another one, with an error of some us.
-  void on_clock_restart() noexcept { sync_.on_clock_restart(); }
-  // The next action, not before `now`; nothing: the tag slots are next.
-  [[nodiscard]] std::optional<Action> control(ranging::ClockTime now) noexcept;
-  // The listening that control() will most likely return next, so that it can be armed before the present one
-  // has ended; nothing if it depends on that one.
-  [[nodiscard]] std::optional<Action> control_ahead() const noexcept;
-  void end_superframe() noexcept;
-  // The last action of control() is in progress.
-  [[nodiscard]] bool in_control() const noexcept { return phase_ != Phase::kSlots; }
-  // The tag slots are next.
-  [[nodiscard]] bool before_slots() const noexcept { return phase_ == Phase::kShared; }
-  // The present superframe.
-  [[nodiscard]] std::uint32_t superframe_number() const noexcept { return number_; }
-
-  // Events of the last action of control(). The next action is the one returned, otherwise that of control().
-  void on_control_transmitted(ranging::ClockTime timestamp) noexcept;
-  void on_control_late() noexcept;
-  [[nodiscard]] std::optional<Action> on_control_received(const Reception& reception) noexcept;
-  void on_control_timeout() noexcept;
+ protected:
+  // Time that a node needs between two actions.
+  static constexpr ranging::Ticks kToGetReady = ranging::Ticks::from_us(300);
 
   // An accepted frame. `unverified`: a beacon of another timeline, which may be a replay although its MIC is
   // valid.
   struct Accepted : Frame {
     bool unverified = false;
   };
+
+  // `counters` outlives the station, as does what the site points to.
+  Station(const Site& site, groma_Counters& counters) noexcept;
+  ~Station() = default;
+
+  // ---- the derived class ---------------------------------------------------------------------------------
+
+  // The next action in the tag slots of superframe_number(), with its preamble after `now`. Nothing: they are
+  // over, and end_superframe() was called.
+  [[nodiscard]] virtual std::optional<Action> slot_action(ranging::ClockTime now) noexcept = 0;
+  // Where the present action's frame is sent or heard.
+  [[nodiscard]] virtual Place slot_place() const noexcept = 0;
+  // Events of the last action in the tag slots.
+  [[nodiscard]] virtual Step slot_transmitted(ranging::ClockTime timestamp) noexcept = 0;
+  [[nodiscard]] virtual Step slot_received(const Reception& reception) noexcept = 0;
+  [[nodiscard]] virtual Step slot_timeout(ranging::ClockTime now) noexcept { return plan(now); }
+  // It was late, or the radio was stopped.
+  [[nodiscard]] virtual Step slot_abandoned(ranging::ClockTime now) noexcept { return plan(now); }
+  // No exchange may span this instant.
+  virtual void forget_exchanges() noexcept = 0;
+
+  // ---- for the derived class -----------------------------------------------------------------------------
+
+  // The next action, with its preamble after `now`.
+  [[nodiscard]] Step plan(ranging::ClockTime now) noexcept;
+  [[nodiscard]] Step act(const Action& action) noexcept {
+    action_ = action;
+    return {action, nullptr};
+  }
+  void end_superframe() noexcept;
+  // The last action is in the tag slots.
+  [[nodiscard]] bool in_slots() const noexcept { return phase_ == Phase::kSlots; }
+  // The tag slots are next.
+  [[nodiscard]] bool before_slots() const noexcept { return phase_ == Phase::kShared; }
+  // The listening in the beacon slot or the shared slot that most likely follows the present one, so that it
+  // can be armed before that has ended; nothing if it depends on its result.
+  [[nodiscard]] std::optional<Action> control_ahead() const noexcept;
+
   // Handles a frame heard in a tag slot to which it does not belong. Returns true if the timeline changed or
-  // was lost: continue with control().
+  // was lost: continue with plan().
   [[nodiscard]] bool overhear(const Accepted& frame, const Reception& reception) noexcept;
   // Reports whether expected frames are missing. `idle`: no frame came at all, so a scan would disturb
   // nothing.
@@ -105,13 +134,22 @@ class Station {
     if (sync_.state() == SyncState::kCoasting) coexistence_.on_silence();
   }
 
-  // ---- frames --------------------------------------------------------------------------------------------
-
   // Returns a frame that belongs to this network, is addressed to this node, to all or to relays, and has the
   // MIC that the network key requires at `place`, where it was heard. Other frames are counted, and nothing
   // is returned. In an unused slot a POLL with a wrong MIC may belong to another session.
   [[nodiscard]] std::optional<Accepted> accept(const Reception& reception, Place place,
                                                bool unused_slot = false) noexcept;
+  // `place`: where the frame is sent. finish_signing() adds the MIC; before a replay has been excluded, to a
+  // challenge alone.
+  [[nodiscard]] Action transmit(ranging::ClockTime timestamp, std::uint16_t destination, const Body& body,
+                                Place place, const MergeTarget* merge_target = nullptr) noexcept;
+  // The last timestamp on the transmit grid that is not after `latest`.
+  [[nodiscard]] ranging::ClockTime timestamp_not_after(ranging::ClockTime latest) const noexcept {
+    return ranging::transmit_timestamp_not_after(latest, site_.transmit_antenna_delay,
+                                                 superframe_.phy().transmit_grid());
+  }
+  // The remainder of the present listening, which an unusable frame interrupted; nothing: it is over.
+  [[nodiscard]] std::optional<Action> listen_on(ranging::ClockTime now) const noexcept;
 
   // Frames carry MICs.
   [[nodiscard]] bool keyed() const noexcept { return authenticator_.on(); }
@@ -124,34 +162,6 @@ class Station {
     authenticator_.expect_sent(site_.id, type, place);
   }
   void prepare_control() noexcept;
-  // Call for each frame before accept(): starts to verify its MIC in the background.
-  void begin_verify(std::span<const std::uint8_t> frame, Place place) noexcept {
-    authenticator_.begin_verify(frame, place);
-  }
-  // Of the present beacon slot or shared slot.
-  [[nodiscard]] Place control_place() const noexcept {
-    return {number_, phase_ == Phase::kShared ? Place::kShared : Place::kBeacon};
-  }
-
-  // `place`: where the frame is sent. finish_signing() adds the MIC; before a replay has been excluded, to a
-  // challenge alone.
-  [[nodiscard]] Action transmit(ranging::ClockTime timestamp, std::uint16_t destination, const Body& body,
-                                Place place, const MergeTarget* merge_target = nullptr) noexcept;
-  void finish_signing() noexcept { authenticator_.finish_signing(outgoing_); }
-  // The last timestamp on the transmit grid that is not after `latest`.
-  [[nodiscard]] ranging::ClockTime timestamp_not_after(ranging::ClockTime latest) const noexcept {
-    return ranging::transmit_timestamp_not_after(latest, site_.transmit_antenna_delay,
-                                                 superframe_.phy().transmit_grid());
-  }
-
-  // Listens in a slot of this kind for a frame of up to `bytes` whose RMARKER is due at `due`: hunts for its
-  // preamble from guard plus `slack` before to guard plus `slack` after. The receiver starts earlier by
-  // Phy::receiver_start().
-  [[nodiscard]] Action listen(SlotKind slot, ranging::ClockTime due, std::size_t bytes,
-                              ranging::Ticks slack) const noexcept;
-  // The remainder of a listening that an unusable frame interrupted; nothing: it is over.
-  [[nodiscard]] static std::optional<Action> listen_on(const Action& interrupted,
-                                                       ranging::ClockTime now) noexcept;
 
   [[nodiscard]] ranging::ClockTime poll_due(std::uint32_t superframe, std::size_t slot) const noexcept {
     return sync_.start(superframe) + superframe_.poll(slot);
@@ -163,61 +173,83 @@ class Station {
   // This node may send in superframe `number`: it knows the time well enough, and the time is not that of a
   // recording.
   [[nodiscard]] bool sure(std::uint32_t number) const noexcept { return fresh() && timed(number); }
-  // Replay has been excluded for this session.
-  [[nodiscard]] bool fresh() const noexcept { return replay_guard_.fresh(); }
+
+  [[nodiscard]] const Site& site() const noexcept { return site_; }
+  [[nodiscard]] groma_Counters& counters() noexcept { return counters_; }
+  [[nodiscard]] const Health& health() const noexcept { return health_; }
+  // Follows the beacons. At the master a channel may change it in on_control() and on_beacon_out().
+  [[nodiscard]] SlotMap& slots() noexcept { return slots_; }
+  [[nodiscard]] const SlotMap& slots() const noexcept { return slots_; }
 
  private:
   enum class Phase : std::uint8_t { kSearching, kScanning, kRequesting, kBeacon, kShared, kSlots };
   enum class Next : std::uint8_t { kBeacon, kShared, kSlots };
+  // How far to trust a beacon whose MIC is valid.
+  enum class Trust : std::uint8_t { kNone, kUnverified, kFull };
 
-  [[nodiscard]] Action search(ranging::ClockTime now) noexcept;
+  [[nodiscard]] std::span<ControlChannel* const> channels() const noexcept {
+    return std::span(channels_).first(channel_count_);
+  }
+
+  // station.cpp: the sequence of a superframe.
+  void begin_search(ranging::ClockTime now) noexcept;
+  // Returns false while there is no session to follow or start.
+  [[nodiscard]] bool start_session_if_due(ranging::ClockTime now) noexcept;
+  // The next action outside of the tag slots; nothing: they are next.
+  [[nodiscard]] std::optional<Action> control(ranging::ClockTime now) noexcept;
+  [[nodiscard]] std::optional<Action> control_received(const Reception& reception) noexcept;
+  void control_timeout() noexcept;
   [[nodiscard]] std::optional<Action> beacon_slot(ranging::ClockTime now) noexcept;
-  [[nodiscard]] std::optional<Action> request_in_turn(ranging::ClockTime now) noexcept;
-  // A shared slot of the others in which this node may send a merge request begins between these instants.
-  [[nodiscard]] bool requests_within(ranging::ClockTime from, ranging::ClockTime to) const noexcept;
-  [[nodiscard]] bool requests_beside(ranging::ClockTime due) const noexcept;
-  void next_of_others() noexcept;
-  [[nodiscard]] Action merge_request(ranging::ClockTime timestamp, const MergeTarget& merge_target) noexcept;
-  void send_merge_requests(const MergeTarget& merge_target, ranging::ClockTime shared, std::uint32_t rounds,
-                           bool only_requester_silent) noexcept;
   [[nodiscard]] std::optional<Action> scan(ranging::ClockTime now, std::uint32_t superframes = 1) noexcept;
   [[nodiscard]] std::optional<Action> shared_slot(ranging::ClockTime now) noexcept;
   // A JOIN or a DATA for the shared slot, of the first channel that has one.
   [[nodiscard]] std::optional<Action> from_channels(ranging::ClockTime timestamp, bool own_turn) noexcept;
   [[nodiscard]] Beacon make_beacon(ranging::Ticks tx_offset, bool shared) noexcept;
   [[nodiscard]] Action send_beacon(ranging::ClockTime due, bool shared) noexcept;
-  // Returns false while there is no session to follow or start.
-  [[nodiscard]] bool start_session_if_due(ranging::ClockTime now) noexcept;
+  void release_sender(bool sent) noexcept;
+  void miss() noexcept;
+  // Of the present beacon slot or shared slot.
+  [[nodiscard]] Place control_place() const noexcept {
+    return {number_, phase_ == Phase::kShared ? Place::kShared : Place::kBeacon};
+  }
 
-  // Returns true if the place in the timeline changed or was lost.
+  // station.cpp: merge requests.
+  [[nodiscard]] std::optional<Action> request_in_turn(ranging::ClockTime now) noexcept;
+  // A shared slot of the others in which this node may send a merge request begins between these instants.
+  [[nodiscard]] bool requests_within(ranging::ClockTime from, ranging::ClockTime to) const noexcept;
+  [[nodiscard]] bool requests_beside(ranging::ClockTime due) const noexcept;
+  void next_of_others() noexcept;
+  [[nodiscard]] Action merge_request(ranging::ClockTime timestamp) noexcept;
+  void send_merge_requests(std::uint32_t rounds, bool only_requester_silent) noexcept;
+
+  // station_frames.cpp. Returns true if the place in the timeline changed or was lost.
   bool take_beacon(const Accepted& frame, const Beacon& beacon, const Reception& reception) noexcept;
   // Of a session that has to join this one or fall silent. Returns as take_beacon().
   bool request_merge(const Beacon& beacon, ranging::ClockTime heard, bool unverified) noexcept;
   bool take_time(const BeaconReception& timestamp, std::uint64_t session, Verdict verdict,
                  bool persuasive) noexcept;
   void take_content(const Frame& frame, const Beacon& beacon, bool adopted) noexcept;
-  [[nodiscard]] bool timed(std::uint32_t number) const noexcept {
-    return sync_.margin(number) <= superframe_.guard();
-  }
+  // A frame of this network at an unexpected time.
+  void on_stray(const Frame& frame) noexcept;
   [[nodiscard]] bool is_for_this_node(const Frame& frame) const noexcept;
   // Counts a frame that is not authentic.
   [[nodiscard]] bool authenticate(Accepted& frame, const Reception& reception, Place place,
                                   bool unused_slot) noexcept;
   [[nodiscard]] bool authenticate(Accepted& frame, const Beacon& beacon, const Reception& reception) noexcept;
-  [[nodiscard]] ranging::Ticks place_in_superframe(const Beacon& beacon) const noexcept;
   // This node is synchronized, and not with a recording.
   [[nodiscard]] bool knows_time() const noexcept { return sync_.state() != SyncState::kSearching && fresh(); }
-  // How far to trust a beacon whose MIC is valid.
-  enum class Trust : std::uint8_t { kNone, kUnverified, kFull };
   [[nodiscard]] Trust trust_in(const Beacon& beacon, ranging::ClockTime heard) const noexcept;
+
+  [[nodiscard]] ranging::Ticks place_in_superframe(const Beacon& beacon) const noexcept;
+  // How far the beacon's timeline is ahead of this node's.
+  [[nodiscard]] ranging::Ticks ahead_by(const Beacon& beacon, ranging::ClockTime heard) const noexcept;
   // The superframe at `t` on this node's timeline.
   [[nodiscard]] std::uint32_t superframe_at(ranging::ClockTime t) const noexcept {
     return static_cast<std::uint32_t>(sync_.network_time(t).count() / superframe_.duration().count());
   }
-  // How far the beacon's timeline is ahead of this node's.
-  [[nodiscard]] ranging::Ticks ahead_by(const Beacon& beacon, ranging::ClockTime heard) const noexcept;
-  void take_poll(const Poll& poll) noexcept;
-  void miss() noexcept;
+  [[nodiscard]] bool timed(std::uint32_t number) const noexcept {
+    return sync_.margin(number) <= superframe_.guard();
+  }
 
   Site site_;
   Superframe superframe_;
@@ -230,7 +262,8 @@ class Station {
   ReplayGuard replay_guard_;
   groma_Counters& counters_;
   std::array<ControlChannel*, 3> channels_{};  // the first is replay_guard_ where the network has a key
-  ControlChannel* sender_ = nullptr;           // whose frame is being sent
+  std::size_t channel_count_ = 0;
+  ControlChannel* sender_ = nullptr;  // whose frame is being sent
 
   Phase phase_ = Phase::kSearching;
   Next next_ = Next::kBeacon;
@@ -244,7 +277,7 @@ class Station {
   std::optional<Others> others_;  // while searching: of an older schedule
   bool scanning_ = false;         // after the own beacon has been sent
   std::uint32_t number_ = 0;
-  Action listening_;
+  Action action_;  // the last one
   std::uint8_t sequence_ = 0;
   Health health_{};
   FrameBytes outgoing_;

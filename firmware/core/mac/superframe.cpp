@@ -44,32 +44,8 @@ class Hash {
   std::uint32_t value_ = 2'166'136'261;
 };
 
-std::span<const std::uint16_t> tags_of(const groma_Schedule& schedule) noexcept {
-  return std::span(schedule.tag_ids).first(std::min<std::size_t>(schedule.tag_ids_count, kMaxTags));
-}
-
-std::span<const std::uint16_t> anchors_of(const groma_Schedule& schedule) noexcept {
-  return std::span(schedule.anchor_ids).first(schedule.anchor_ids_count);
-}
-
 bool is_one_of(std::span<const std::uint16_t> ids, std::uint32_t id) noexcept {
   return std::find(ids.begin(), ids.end(), id) != ids.end();
-}
-
-ScheduleFault check_ids(const groma_Schedule& schedule) noexcept {
-  const auto tags = tags_of(schedule);
-  const auto anchors = anchors_of(schedule);
-  std::array<std::uint16_t, kMaxTags + std::extent_v<decltype(schedule.anchor_ids)>> room;
-  const auto begin = room.begin();
-  const auto end = std::copy(anchors.begin(), anchors.end(), std::copy(tags.begin(), tags.end(), begin));
-  std::sort(begin, end);
-  if (outside(*begin, 1, kLargestId) || outside(*(end - 1), 1, kLargestId)) return ScheduleFault::kBadId;
-  if (std::adjacent_find(begin, end) != end) return ScheduleFault::kRepeatedId;
-  return is_one_of(anchors, schedule.master_id) ? ScheduleFault::kNone : ScheduleFault::kBadMaster;
-}
-
-std::span<const std::uint16_t> backups_of(const groma_Schedule& schedule) noexcept {
-  return std::span(schedule.backup_ids).first(schedule.backup_ids_count);
 }
 
 bool backups_fit(const groma_Schedule& schedule) noexcept {
@@ -79,10 +55,6 @@ bool backups_fit(const groma_Schedule& schedule) noexcept {
     return id != schedule.master_id && std::count(backups.begin(), backups.end(), id) == 1 &&
            is_one_of(anchors, id);
   });
-}
-
-std::size_t slot_count_of(const groma_Schedule& schedule) noexcept {
-  return schedule.slots == 0 ? schedule.tag_ids_count : schedule.slots;
 }
 
 bool slots_fit(const groma_Schedule& schedule) noexcept {
@@ -96,54 +68,35 @@ bool slots_fit(const groma_Schedule& schedule) noexcept {
 
 }  // namespace
 
-const char* describe(ScheduleFault fault) noexcept {
-  static_assert(kLeastTurnaround_us == 90 && kLeastGap_us == 35 && kLeastGuard_us == 2,
-                "the texts name them");
-  switch (fault) {
-    case ScheduleFault::kNone:
-      return "";
-    case ScheduleFault::kNoTags:
-      return "schedule.tag_ids: 1 to 16 tags";
-    case ScheduleFault::kNoAnchors:
-      return "schedule.anchor_ids: 1 to 64 anchors";
-    case ScheduleFault::kBadId:
-      return "schedule: ids are 1 to 65534";
-    case ScheduleFault::kRepeatedId:
-      return "schedule: each id once, over tags and anchors together";
-    case ScheduleFault::kBadMaster:
-      return "schedule.master_id: one of anchor_ids";
-    case ScheduleFault::kBadMethod:
-      return "schedule.method: not known to this node";
-    case ScheduleFault::kBadTurnaround:
-      return "schedule.turn_round_us: 90 to 5000";
-    case ScheduleFault::kBadGap:
-      return "schedule.response_gap_us: 35 to 2000";
-    case ScheduleFault::kBadGuard:
-      return "schedule.guard_us: 2 to 1000";
-    case ScheduleFault::kBadBackup:
-      return "schedule.backup_ids: anchors, each once, not the master";
-    case ScheduleFault::kBadSlots:
-      return "schedule.slots: 1 to 16, and above each of tag_slots";
-    case ScheduleFault::kBadResponses:
-      return "schedule.responses: 1 to 16";
-  }
-  return "";
+std::size_t slot_count_of(const groma_Schedule& schedule) noexcept {
+  return schedule.slots == 0 ? schedule.tag_ids_count : schedule.slots;
 }
 
-ScheduleFault check(const groma_Schedule& schedule) noexcept {
-  if (outside(schedule.tag_ids_count, 1, kMaxTags)) return ScheduleFault::kNoTags;
-  if (schedule.anchor_ids_count == 0) return ScheduleFault::kNoAnchors;
-  if (const ScheduleFault fault = check_ids(schedule); fault != ScheduleFault::kNone) return fault;
-  if (number_of(schedule.method) > _groma_RangingMethod_MAX) return ScheduleFault::kBadMethod;
-  if (outside(schedule.turn_round_us, kLeastTurnaround_us, kMostTurnaround_us)) {
-    return ScheduleFault::kBadTurnaround;
-  }
-  if (outside(schedule.response_gap_us, kLeastGap_us, kMostGap_us)) return ScheduleFault::kBadGap;
-  if (outside(schedule.guard_us, kLeastGuard_us, kMostGuard_us)) return ScheduleFault::kBadGuard;
-  if (!backups_fit(schedule)) return ScheduleFault::kBadBackup;
-  if (!slots_fit(schedule)) return ScheduleFault::kBadSlots;
-  if (schedule.responses > kMaxAnchors) return ScheduleFault::kBadResponses;
-  return ScheduleFault::kNone;
+const char* fault_of(const groma_Schedule& schedule) noexcept {
+  static_assert(kLeastTurnaround_us == 90 && kLeastGap_us == 35 && kLeastGuard_us == 2,
+                "the texts name them");
+  if (outside(schedule.tag_ids_count, 1, kMaxTags)) return "schedule.tag_ids: 1 to 16 tags";
+  const auto tags = tags_of(schedule);
+  const auto anchors = anchors_of(schedule);
+  if (anchors.empty()) return "schedule.anchor_ids: 1 to 64 anchors";
+  std::array<std::uint16_t, kMaxTags + std::extent_v<decltype(schedule.anchor_ids)>> room;
+  const auto begin = room.begin();
+  const auto end = std::copy(anchors.begin(), anchors.end(), std::copy(tags.begin(), tags.end(), begin));
+  std::sort(begin, end);
+  if (outside(*begin, 1, kLargestId) || outside(*(end - 1), 1, kLargestId))
+    return "schedule: ids are 1 to 65534";
+  if (std::adjacent_find(begin, end) != end) return "schedule: each id once, over tags and anchors together";
+  if (!is_one_of(anchors, schedule.master_id)) return "schedule.master_id: one of anchor_ids";
+  if (number_of(schedule.method) > _groma_RangingMethod_MAX) return "schedule.method: not known to this node";
+  if (outside(schedule.turn_round_us, kLeastTurnaround_us, kMostTurnaround_us))
+    return "schedule.turn_round_us: 90 to 5000";
+  if (outside(schedule.response_gap_us, kLeastGap_us, kMostGap_us))
+    return "schedule.response_gap_us: 35 to 2000";
+  if (outside(schedule.guard_us, kLeastGuard_us, kMostGuard_us)) return "schedule.guard_us: 2 to 1000";
+  if (!backups_fit(schedule)) return "schedule.backup_ids: anchors, each once, not the master";
+  if (!slots_fit(schedule)) return "schedule.slots: 1 to 16, and above each of tag_slots";
+  if (schedule.responses > kMaxAnchors) return "schedule.responses: 1 to 16";
+  return "";
 }
 
 std::optional<std::size_t> configured_slot(const groma_Schedule& schedule, std::uint16_t tag) noexcept {

@@ -25,9 +25,11 @@
 // A receiver starts Phy::receiver_start() before its guard, still in the time that follows the frame before.
 #pragma once
 
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <optional>
+#include <span>
 
 #include "firmware/core/mac/frame.hpp"
 #include "firmware/core/radio/phy.hpp"
@@ -61,26 +63,8 @@ inline constexpr std::uint32_t kUsualGuard_us = 30;
   return secured ? 320 : 300;
 }
 
-enum class ScheduleFault : std::uint8_t {
-  kNone,
-  kNoTags,
-  kNoAnchors,
-  kBadId,          // ids are 1 to 65534
-  kRepeatedId,     // tags and anchors share one number space
-  kBadMaster,      // the master is not among the anchors
-  kBadMethod,      // this node does not know the method
-  kBadTurnaround,  // outside of 90 to 5000 us
-  kBadGap,         // outside of 35 to 2000 us
-  kBadGuard,       // outside of 2 to 1000 us
-  kBadBackup,      // a back-up is not among the anchors, or is the master
-  kBadSlots,       // outside of 0 to 16, or a tag's slot is beyond them
-  kBadResponses,   // outside of 0 to 16
-};
-
-// The field and its valid values, at most 63 characters; empty for kNone.
-[[nodiscard]] const char* describe(ScheduleFault fault) noexcept;
-
-[[nodiscard]] ScheduleFault check(const groma_Schedule& schedule) noexcept;
+// The field that is not valid and its valid values, at most 63 characters; empty for a valid schedule.
+[[nodiscard]] const char* fault_of(const groma_Schedule& schedule) noexcept;
 
 // A hash of everything that has to be equal at all nodes: the schedule with its epoch, the network and the
 // preamble. Nodes that disagree stay silent instead of colliding.
@@ -89,7 +73,7 @@ enum class ScheduleFault : std::uint8_t {
 
 class Superframe {
  public:
-  // `schedule` must have passed check(). `secured`: each frame carries a MIC.
+  // fault_of(`schedule`) is empty. `secured`: each frame carries a MIC.
   Superframe(const groma_Schedule& schedule, const radio::Phy& phy, bool secured = false) noexcept;
 
   [[nodiscard]] ranging::Ticks duration() const noexcept {
@@ -143,6 +127,18 @@ class Superframe {
   ranging::Ticks tag_slot_;
   ranging::Ticks end_time_{};  // after the last slot
 };
+
+[[nodiscard]] inline std::span<const std::uint16_t> tags_of(const groma_Schedule& schedule) noexcept {
+  return std::span(schedule.tag_ids).first(std::min<std::size_t>(schedule.tag_ids_count, kMaxTags));
+}
+[[nodiscard]] inline std::span<const std::uint16_t> anchors_of(const groma_Schedule& schedule) noexcept {
+  return std::span(schedule.anchor_ids).first(schedule.anchor_ids_count);
+}
+[[nodiscard]] inline std::span<const std::uint16_t> backups_of(const groma_Schedule& schedule) noexcept {
+  return std::span(schedule.backup_ids).first(schedule.backup_ids_count);
+}
+// The number of slots in a superframe.
+[[nodiscard]] std::size_t slot_count_of(const groma_Schedule& schedule) noexcept;
 
 // The slot that the schedule assigns to a tag; nothing if it does not name the tag.
 [[nodiscard]] std::optional<std::size_t> configured_slot(const groma_Schedule& schedule,

@@ -34,11 +34,14 @@ void Synchronizer::found(ClockTime start) noexcept {
   lead();
 }
 
+void Synchronizer::enter(SyncState state) noexcept {
+  state_ = state;
+  missed_ = misfits_ = 0;
+}
+
 void Synchronizer::lead() noexcept {
   leading_ = true;
-  missed_ = 0;
-  misfits_ = 0;
-  state_ = SyncState::kLocked;
+  enter(SyncState::kLocked);
 }
 
 void Synchronizer::follow() noexcept {
@@ -49,9 +52,7 @@ void Synchronizer::follow() noexcept {
 void Synchronizer::search() noexcept {
   leading_ = false;
   tracker_ = ClockTracker();
-  state_ = SyncState::kSearching;
-  missed_ = 0;
-  misfits_ = 0;
+  enter(SyncState::kSearching);
 }
 
 void Synchronizer::on_clock_restart() noexcept {
@@ -77,9 +78,7 @@ void Synchronizer::adopt(const BeaconReception& beacon) noexcept {
                 !beacon.offset_ppb ? kCrystalSigma_ppb
                 : relayed          ? kRelaySigma_ppb
                                    : kCarrierSigma_ppb);
-  missed_ = 0;
-  misfits_ = 0;
-  state_ = SyncState::kLocked;
+  enter(SyncState::kLocked);
 }
 
 bool Synchronizer::on_beacon(const BeaconReception& beacon, bool other_path, bool persuasive) noexcept {
@@ -92,9 +91,7 @@ bool Synchronizer::on_beacon(const BeaconReception& beacon, bool other_path, boo
     return true;
   }
   last_heard_ = beacon.superframe;
-  missed_ = 0;
-  misfits_ = 0;
-  state_ = SyncState::kLocked;
+  enter(SyncState::kLocked);
   return true;
 }
 

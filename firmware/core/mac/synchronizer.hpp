@@ -70,6 +70,7 @@ class Synchronizer {
 
  private:
   [[nodiscard]] ranging::Ticks master_time(std::uint32_t number) const noexcept;
+  void enter(SyncState state) noexcept;
 
   const Superframe& superframe_;
   ClockTracker tracker_;

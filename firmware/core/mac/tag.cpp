@@ -5,42 +5,28 @@
 #include <utility>
 
 namespace groma::mac {
-namespace {
-
-Place place_of(const Exchange& exchange) noexcept {
-  return {exchange.superframe, exchange.slot};
-}
-
-}  // namespace
 
 using ranging::ClockTime;
 using ranging::Ticks;
 
 Tag::Tag(const Site& site, groma_Counters& counters) noexcept
-    : station_(site, counters), membership_(site.id, *site.schedule, station_.slots(), site.lender) {
-  station_.attach(membership_);
+    : Station(site, counters), membership_(site.id, *site.schedule, slots(), site.lender) {
+  attach(membership_);
 }
 
-Step Tag::start(ClockTime now) noexcept {
-  station_.start(now);
+void Tag::forget_exchanges() noexcept {
+  phase_ = Phase::kPoll;
   previous_valid_ = false;
   windows_over_ = 0;
-  return {plan(now), nullptr};
 }
 
-Action Tag::plan(ClockTime now) noexcept {
-  for (;;) {
-    phase_ = Phase::kControl;
-    if (const auto action = station_.control(now)) return *action;
-    const std::uint32_t superframe = station_.superframe_number();
-    station_.end_superframe();
-    if (membership_.outdated(superframe)) station_.on_lack(false, true);
-    const auto slot = has_lent() ? std::nullopt : membership_.slot(superframe);
-    if (slot && station_.ahead(station_.poll_due(superframe, *slot), now) && station_.sure(superframe)) {
-      phase_ = Phase::kPoll;
-      return poll(superframe, *slot);
-    }
-  }
+std::optional<Action> Tag::slot_action(ClockTime now) noexcept {
+  const std::uint32_t superframe = superframe_number();
+  end_superframe();
+  if (membership_.outdated(superframe)) on_lack(false, true);
+  const auto slot = has_lent() ? std::nullopt : membership_.slot(superframe);
+  if (!slot || !ahead(poll_due(superframe, *slot), now) || !sure(superframe)) return std::nullopt;
+  return poll(superframe, *slot);
 }
 
 void Tag::choose_anchors() noexcept {
@@ -54,7 +40,7 @@ void Tag::choose_anchors() noexcept {
   }
   windows_over_ = 0;
   if (next_count_ != 0) return;
-  const std::size_t places = std::min(station_.superframe().responses(), kMaxAnchors);
+  const std::size_t places = std::min(superframe().responses(), kMaxAnchors);
   next_count_ = static_cast<std::uint8_t>(anchors.choose(std::span(next_anchors_).first(places)));
 }
 
@@ -62,100 +48,72 @@ void Tag::choose_anchors() noexcept {
 // another's frame.
 Action Tag::poll(std::uint32_t superframe, std::size_t slot) noexcept {
   choose_anchors();
+  phase_ = Phase::kPoll;
   Exchange& exchange = current();
   exchange.number = next_number_++;
   exchange.superframe = superframe;
   exchange.slot = static_cast<std::uint8_t>(slot);
   exchange.count = std::exchange(next_count_, std::uint8_t{0});
   exchange.closing_sent.reset();
-  Poll body{.exchange = exchange.number,
-            .superframe = exchange.superframe,
-            .slot = exchange.slot,
-            .lent = membership_.borrows(),
-            .count = exchange.count};
-  for (std::size_t i = 0; i < exchange.count; ++i) {
-    exchange.legs[i] = Leg{.anchor = next_anchors_[i]};
-    body.anchors[i] = next_anchors_[i];
-  }
-  const ClockTime timestamp = station_.timestamp_not_after(station_.poll_due(superframe, slot));
-  return station_.transmit(timestamp, kBroadcast, body, place_of(exchange));
+  for (std::size_t i = 0; i < exchange.count; ++i) exchange.legs[i] = Leg{.anchor = next_anchors_[i]};
+  const Poll body{.exchange = exchange.number,
+                  .superframe = superframe,
+                  .slot = exchange.slot,
+                  .lent = membership_.borrows(),
+                  .count = exchange.count,
+                  .anchors = next_anchors_};
+  const ClockTime timestamp = timestamp_not_after(poll_due(superframe, slot));
+  return transmit(timestamp, kBroadcast, body, place_of(exchange));
 }
 
-Step Tag::on_transmitted(ClockTime timestamp) noexcept {
-  if (phase_ == Phase::kControl) {
-    station_.on_control_transmitted(timestamp);
-    return {plan(timestamp), nullptr};
-  }
-  ++station_.counters().frames_sent;
+Step Tag::slot_transmitted(ClockTime timestamp) noexcept {
+  Exchange& exchange = current();
   if (phase_ == Phase::kFinal) {
-    current().closing_sent = timestamp;
+    exchange.closing_sent = timestamp;
     return finish(timestamp);
   }
-  Exchange& exchange = current();
   exchange.poll_sent = timestamp;
   // If the closing frame is later, clock drift distorts the range: at 2 ppm/s by 0.7 m for each second.
   constexpr std::uint32_t kLatestClosing = 2;
-  if (previous_valid_ && !station_.superframe().has_final() &&
+  if (previous_valid_ && !superframe().has_final() &&
       exchange.superframe - previous().superframe <= kLatestClosing) {
     previous().closing_sent = timestamp;
   }
   phase_ = Phase::kResponses;
   window_ = 0;
-  return {response_window(window_), nullptr};
-}
-
-Step Tag::on_late(ClockTime now) noexcept {
-  if (phase_ == Phase::kControl) {
-    station_.on_control_late();
-    return {plan(now), nullptr};
-  }
-  ++station_.counters().late_transmits;
-  if (phase_ == Phase::kFinal) return finish(now);
-  return {plan(now), nullptr};
+  return act(response_window(window_));
 }
 
 std::optional<Action> Tag::next_rx_window() const noexcept {
-  if (phase_ == Phase::kControl) return station_.control_ahead();
+  if (!in_slots()) return control_ahead();
   if (phase_ != Phase::kResponses) return std::nullopt;
   if (window_ + 1 < current().count) return response_window(window_ + 1);
-  if (station_.superframe().has_final()) return std::nullopt;
-  return station_.control_ahead();
+  return superframe().has_final() ? std::nullopt : control_ahead();
 }
 
 Action Tag::response_window(std::size_t index) const noexcept {
-  const Exchange& exchange = current();
-  const ClockTime due = exchange.poll_sent + station_.superframe().response(index, exchange.count);
-  return station_.listen(SlotKind::kResponse, due, station_.superframe().on_air(kResponseBytes), Ticks(0));
+  return listen(SlotKind::kResponse, response_due(index), superframe().on_air(kResponseBytes), Ticks(0));
 }
 
-Step Tag::on_received(const Reception& reception) noexcept {
-  if (phase_ == Phase::kControl) {
-    if (const auto rest = station_.on_control_received(reception)) return {*rest, nullptr};
-    return {plan(reception.timestamp), nullptr};
-  }
-  if (const auto frame = station_.accept(reception, place_of(current()))) {
+Step Tag::slot_received(const Reception& reception) noexcept {
+  if (const auto frame = accept(reception, slot_place())) {
     if (const auto* response = std::get_if<Response>(&frame->body)) {
       take_response(*frame, *response, reception);
-    } else if (station_.overhear(*frame, reception)) {
+    } else if (overhear(*frame, reception)) {
       return finish(reception.timestamp);
     }
   }
   return next_window(reception.timestamp);
 }
 
-void Tag::begin_verify(std::span<const std::uint8_t> frame) noexcept {
-  station_.begin_verify(frame, phase_ == Phase::kControl ? station_.control_place() : place_of(current()));
-}
-
 std::size_t Tag::precompute() noexcept {
-  if (!station_.keyed()) return 0;
-  if (phase_ == Phase::kResponses) {
-    station_.expect_heard(current().legs[window_].anchor, FrameType::kResponse, place_of(current()));
-  } else if (phase_ == Phase::kControl) {
-    station_.prepare_control();
-    const std::uint32_t superframe = station_.superframe_number();
-    const auto slot = station_.before_slots() ? membership_.slot(superframe) : std::nullopt;
-    if (slot) station_.expect_said(FrameType::kPoll, {superframe, static_cast<std::uint8_t>(*slot)});
+  if (!keyed()) return 0;
+  if (!in_slots()) {
+    prepare_control();
+    const auto slot = before_slots() ? membership_.slot(superframe_number()) : std::nullopt;
+    if (slot) expect_said(FrameType::kPoll, {superframe_number(), static_cast<std::uint8_t>(*slot)});
+  } else if (phase_ == Phase::kResponses) {
+    expect_heard(current().legs[window_].anchor, FrameType::kResponse, slot_place());
   }
   return 0;
 }
@@ -170,17 +128,15 @@ Leg* Tag::previous_leg(std::uint16_t anchor) noexcept {
 }
 
 void Tag::take_response(const Frame& frame, const Response& response, const Reception& reception) noexcept {
-  Exchange& exchange = current();
-  Leg& leg = exchange.legs[window_];
-  const ClockTime due = exchange.poll_sent + station_.superframe().response(window_, exchange.count);
-  const Ticks guard = station_.superframe().guard();
-  const bool in_window = reception.timestamp >= due - guard && reception.timestamp <= due + guard;
-  if (frame.source != leg.anchor || response.exchange != exchange.number ||
+  Leg& leg = current().legs[window_];
+  const Ticks late = reception.timestamp - response_due(window_);
+  const bool in_window = late >= -superframe().guard() && late <= superframe().guard();
+  if (frame.source != leg.anchor || response.exchange != current().number ||
       (reception.timestamp_valid && !in_window)) {
-    ++station_.counters().stale_frames;
+    ++counters().stale_frames;
     return;
   }
-  if (!reception.timestamp_valid) ++station_.counters().bad_stamps;
+  if (!reception.timestamp_valid) ++counters().bad_stamps;
   leg.answered = true;
   leg.timestamp_valid = reception.timestamp_valid;
   leg.received = reception.timestamp;
@@ -198,27 +154,25 @@ void Tag::take_response(const Frame& frame, const Response& response, const Rece
 
 Step Tag::next_window(ClockTime now) noexcept {
   const Exchange& exchange = current();
-  if (++window_ < exchange.count) return {response_window(window_), nullptr};
-  if (!station_.superframe().has_final()) return finish(now);
+  if (++window_ < exchange.count) return act(response_window(window_));
+  if (!superframe().has_final()) return finish(now);
   phase_ = Phase::kFinal;
-  const ClockTime timestamp =
-      station_.timestamp_not_after(exchange.poll_sent + station_.superframe().final(exchange.count));
-  return {station_.transmit(timestamp, kBroadcast, Final{exchange.number}, place_of(exchange)), nullptr};
+  const ClockTime timestamp = timestamp_not_after(exchange.poll_sent + superframe().final(exchange.count));
+  return act(transmit(timestamp, kBroadcast, Final{exchange.number}, slot_place()));
 }
 
 // Reports interference if the answers are less than half of the usual twice in a row.
 void Tag::watch_answers() noexcept {
-  const Exchange& exchange = current();
-  const auto answers =
-      static_cast<std::uint8_t>(std::count_if(exchange.legs.begin(), exchange.legs.begin() + exchange.count,
-                                              [](const Leg& leg) { return leg.answered; }));
+  const auto legs = std::span(current().legs).first(current().count);
+  const auto answers = static_cast<std::uint8_t>(
+      std::count_if(legs.begin(), legs.end(), [](const Leg& leg) { return leg.answered; }));
   const bool poor = 2 * answers < usual_answers_ || answers == 0;
   constexpr std::uint8_t kAlone = 4;
   unanswered_ =
       answers != 0 ? std::uint8_t{0} : static_cast<std::uint8_t>(std::min(unanswered_ + 1, int{kAlone}));
-  station_.on_lack(poor && was_poor_, unanswered_ == kAlone);
+  on_lack(poor && was_poor_, unanswered_ == kAlone);
   was_poor_ = poor;
-  if (answers == 0) station_.on_silence();
+  if (answers == 0) on_silence();
   usual_answers_ = std::max<std::uint8_t>(answers, usual_answers_ == 0 ? 0 : usual_answers_ - 1);
 }
 
@@ -229,27 +183,18 @@ Step Tag::finish(ClockTime now) noexcept {
   windows_over_ = static_cast<std::uint8_t>(std::min<std::size_t>(window_, current().count));
   current_ = (current_ + 1) % 3;
   previous_valid_ = true;
-  return {plan(now), completed};
+  Step step = plan(now);
+  step.completed = completed;
+  return step;
 }
 
-Step Tag::on_timeout(ClockTime now) noexcept {
-  if (phase_ == Phase::kResponses) return next_window(now);
-  station_.on_control_timeout();
-  return {plan(now), nullptr};
+Step Tag::slot_timeout(ClockTime now) noexcept {
+  return phase_ == Phase::kResponses ? next_window(now) : plan(now);
 }
 
-// No exchange may span the restart.
-void Tag::on_clock_restart() noexcept {
-  station_.on_clock_restart();
-  phase_ = Phase::kControl;
-  previous_valid_ = false;
-  windows_over_ = 0;
-}
-
-Step Tag::resume(ClockTime now) noexcept {
-  station_.resume(now);
-  if (phase_ == Phase::kResponses || phase_ == Phase::kFinal) return finish(now);
-  return {plan(now), nullptr};
+// A POLL that was not sent leaves no exchange behind.
+Step Tag::slot_abandoned(ClockTime now) noexcept {
+  return phase_ == Phase::kPoll ? plan(now) : finish(now);
 }
 
 }  // namespace groma::mac

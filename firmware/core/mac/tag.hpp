@@ -16,35 +16,16 @@
 
 namespace groma::mac {
 
-class Tag {
+class Tag final : public Station {
  public:
   // `counters` outlives the tag. The tag polls once the schedule or a beacon assigns it a slot, unless that
   // is lent.
   Tag(const Site& site, groma_Counters& counters) noexcept;
 
-  [[nodiscard]] Step start(ranging::ClockTime now) noexcept;
-  [[nodiscard]] Step on_transmitted(ranging::ClockTime timestamp) noexcept;
-  [[nodiscard]] Step on_late(ranging::ClockTime now) noexcept;
-  [[nodiscard]] Step on_received(const Reception& reception) noexcept;
-  [[nodiscard]] Step on_timeout(ranging::ClockTime now) noexcept;
-  [[nodiscard]] Step on_error(ranging::ClockTime now) noexcept { return on_timeout(now); }
-  // Run in the background of other work, see step.hpp.
-  void begin_verify(std::span<const std::uint8_t> frame) noexcept;
-  void finish_signing() noexcept { station_.finish_signing(); }
   std::size_t precompute() noexcept;
-  // Call after the radio was stopped and restarted: continues with the next action, with the time of the
-  // clock filter.
-  [[nodiscard]] Step resume(ranging::ClockTime now) noexcept;
-
   // The action that follows the listening in progress whatever it brings, so that it can be armed before its
   // result is known. Nothing if it depends on the result.
   [[nodiscard]] std::optional<Action> next_rx_window() const noexcept;
-
-  [[nodiscard]] const Station& station() const noexcept { return station_; }
-  void set_health(const Health& health) noexcept { station_.set_health(health); }
-  // Call before resume() if this node's clock has continued by another one, with an error of some us.
-  void on_clock_restart() noexcept;
-  void attach(ControlChannel& channel) noexcept { station_.attach(channel); }
 
   // Evaluates the last exchange and chooses the anchors of the next one. Call when there is time; otherwise
   // the POLL does it.
@@ -52,19 +33,24 @@ class Tag {
   [[nodiscard]] TagMembership& membership() noexcept { return membership_; }
   [[nodiscard]] const TagMembership& membership() const noexcept { return membership_; }
 
-  // The superframe in progress; after the tag's slot the next one.
-  [[nodiscard]] std::uint32_t superframe_number() const noexcept { return station_.superframe_number(); }
-
  private:
-  enum class Phase : std::uint8_t { kControl, kPoll, kResponses, kFinal };
+  enum class Phase : std::uint8_t { kPoll, kResponses, kFinal };  // of the slot
 
-  // The next action outside of an exchange, with its preamble after `now`.
-  Action plan(ranging::ClockTime now) noexcept;
+  [[nodiscard]] std::optional<Action> slot_action(ranging::ClockTime now) noexcept override;
+  [[nodiscard]] Place slot_place() const noexcept override { return place_of(current()); }
+  [[nodiscard]] Step slot_transmitted(ranging::ClockTime timestamp) noexcept override;
+  [[nodiscard]] Step slot_received(const Reception& reception) noexcept override;
+  [[nodiscard]] Step slot_timeout(ranging::ClockTime now) noexcept override;
+  [[nodiscard]] Step slot_abandoned(ranging::ClockTime now) noexcept override;
+  void forget_exchanges() noexcept override;
+
   [[nodiscard]] bool has_lent() const noexcept {
-    const auto* until_us = station_.site().lent_until_us;
-    return until_us != nullptr && until_us->has_value();
+    return site().lent_until_us != nullptr && site().lent_until_us->has_value();
   }
   Action poll(std::uint32_t superframe, std::size_t slot) noexcept;
+  [[nodiscard]] ranging::ClockTime response_due(std::size_t index) const noexcept {
+    return current().poll_sent + superframe().response(index, current().count);
+  }
   [[nodiscard]] Action response_window(std::size_t index) const noexcept;
   void take_response(const Frame& frame, const Response& response, const Reception& reception) noexcept;
   // The anchor's leg in the previous exchange; null: the anchor was not polled in it.
@@ -76,10 +62,12 @@ class Tag {
   [[nodiscard]] Exchange& current() noexcept { return exchanges_[current_]; }
   [[nodiscard]] const Exchange& current() const noexcept { return exchanges_[current_]; }
   [[nodiscard]] Exchange& previous() noexcept { return exchanges_[(current_ + 2) % 3]; }
+  [[nodiscard]] static Place place_of(const Exchange& exchange) noexcept {
+    return {exchange.superframe, exchange.slot};
+  }
 
-  Station station_;
   TagMembership membership_;
-  Phase phase_ = Phase::kControl;
+  Phase phase_ = Phase::kPoll;
   std::uint8_t usual_answers_ = 0;  // RESPONSEs in one exchange
   bool was_poor_ = false;
   std::uint8_t unanswered_ = 0;  // exchanges in a row

@@ -51,9 +51,7 @@ const char* fault_of(const groma_Config& config) noexcept {
   if (role != groma_Role_ROLE_ANCHOR && role != groma_Role_ROLE_TAG) return "role: ANCHOR or TAG";
   if (config.network_id >= kLargest16) return "network_id: 0 to 65534";
   if (!config.has_schedule) return "schedule: missing";
-  if (const auto fault = mac::check(config.schedule); fault != mac::ScheduleFault::kNone) {
-    return mac::describe(fault);
-  }
+  if (const char* const fault = mac::fault_of(config.schedule); *fault != '\0') return fault;
   if (!id_fits(config)) return "id: 1 to 65534, not in the schedule for the other role";
   if (mac::number_of(config.preamble) > _groma_Preamble_MAX) return "preamble: 64, 128 or 256";
   if (config.transmit_antenna_delay_dtu > kLargest16) return "transmit_antenna_delay_dtu: 0 to 65535";

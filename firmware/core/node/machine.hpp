@@ -45,9 +45,8 @@ class Machine {
 
   // Null if there is no machine.
   [[nodiscard]] const mac::Station* station() const noexcept {
-    if (const mac::Tag* it = tag()) return &it->station();
-    if (const mac::Anchor* it = anchor()) return &it->station();
-    return nullptr;
+    if (const mac::Tag* it = tag()) return it;
+    return anchor();
   }
   // On the air and synchronized with its network.
   [[nodiscard]] bool in_step() const noexcept {

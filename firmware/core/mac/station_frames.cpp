@@ -1,0 +1,266 @@
+// The Station's beacons and frames: which it accepts, what it takes from them, and how it sends and listens.
+#include <algorithm>
+#include <utility>
+
+#include "firmware/core/mac/station.hpp"
+
+namespace groma::mac {
+namespace {
+
+using ranging::ClockTime;
+using ranging::Ticks;
+
+SlotKind slot_kind(const Body& body, Place place) noexcept {
+  if (place.slot == Place::kBeacon) return SlotKind::kBeacon;
+  if (place.slot == Place::kShared) return SlotKind::kShared;
+  if (std::holds_alternative<Poll>(body)) return SlotKind::kPoll;
+  return std::holds_alternative<Final>(body) ? SlotKind::kFinal : SlotKind::kResponse;
+}
+
+// The nonce of a challenge.
+std::optional<std::uint64_t> challenge_of(const Body& body) noexcept {
+  const auto* join = std::get_if<Join>(&body);
+  return join != nullptr && join->wants_challenge_response ? std::optional(join->nonce) : std::nullopt;
+}
+
+}  // namespace
+
+bool Station::overhear(const Accepted& frame, const Reception& reception) noexcept {
+  if (const auto* beacon = std::get_if<Beacon>(&frame.body)) return take_beacon(frame, *beacon, reception);
+  on_stray(frame);
+  return false;
+}
+
+void Station::on_stray(const Frame& frame) noexcept {
+  ++counters_.stale_frames;
+  if (std::holds_alternative<Poll>(frame.body)) coexistence_.suspect();
+}
+
+// ---- beacons
+
+bool Station::take_beacon(const Accepted& frame, const Beacon& beacon, const Reception& reception) noexcept {
+  if (!reception.timestamp_valid) {
+    ++counters_.bad_stamps;
+    return false;
+  }
+  if (beacon.schedule_hash == hash_ && beacon.slots != superframe_.slot_count()) {
+    ++counters_.stale_frames;
+    return false;
+  }
+  const BeaconReception timestamp{.superframe = beacon.superframe,
+                                  .place = place_in_superframe(beacon),
+                                  .heard = reception.timestamp,
+                                  .offset_ppb = reception.quality.clock_offset_ppb,
+                                  .hop = beacon.hop,
+                                  .age = beacon.age};
+  const bool searching = sync_.state() == SyncState::kSearching;
+  const Ticks ahead = searching ? Ticks(0) : ahead_by(beacon, reception.timestamp);
+  const bool requested = authenticator_.on() && beacon.merge_request;
+  const std::uint64_t session = election_.session();
+  const Verdict verdict = frame.unverified ? coexistence_.judge_unverified(frame.source, beacon)
+                          : requested      ? coexistence_.judge_merge_request(frame.source, beacon, ahead)
+                                      : coexistence_.judge(frame.source, beacon, ahead, reception.timestamp);
+  switch (verdict) {
+    case Verdict::kStale:
+      ++counters_.stale_frames;
+      return false;
+    case Verdict::kIgnore:
+      return false;
+    case Verdict::kRequestMerge:
+      return request_merge(beacon, reception.timestamp, frame.unverified);
+    case Verdict::kLeave:
+      sync_.search();
+      return true;
+    case Verdict::kKnown:
+      take_content(frame, beacon, false);
+      return phase_ == Phase::kShared;
+    case Verdict::kMeasure:
+    case Verdict::kSwitch:
+    case Verdict::kAdopt:
+      break;
+  }
+  // Some nodes may have missed the merge request.
+  std::optional<Others> former;
+  if (requested && verdict == Verdict::kAdopt) {
+    const std::uint32_t next = number_ + (phase_ == Phase::kScanning ? 0U : 1U);
+    former = Others{.shared = sync_.start(next) + superframe_.shared(),
+                    .merge_target = {session, next},
+                    .left = site_.schedule->backup_ids_count + 1U};
+  }
+  // A beacon later than its place may have been delayed by an attacker.
+  if (!take_time(timestamp, beacon.session, verdict, !authenticator_.on() || ahead >= Ticks(0))) {
+    ++counters_.bad_stamps;
+    return false;
+  }
+  ++counters_.beacons_received;
+  if (verdict == Verdict::kAdopt) others_ = former;
+  take_content(frame, beacon, verdict == Verdict::kAdopt);
+  if (phase_ == Phase::kScanning && verdict != Verdict::kAdopt) return false;
+  number_ = beacon.superframe;
+  next_ = beacon.shared ? Next::kSlots : Next::kShared;
+  scanning_ = beacon.quiet && !beacon.shared;
+  return true;
+}
+
+bool Station::request_merge(const Beacon& beacon, ClockTime heard, bool unverified) noexcept {
+  others_ = Others{.shared = heard - place_in_superframe(beacon) + superframe_.shared(),
+                   .merge_target = {beacon.session, beacon.superframe}};
+  if (sync_.state() == SyncState::kSearching) return false;
+  // The other session may be a recording, and no expected frames are missing.
+  const bool only_requester_silent = unverified && !coexistence_.lacking();
+  send_merge_requests(1, only_requester_silent);
+  return phase_ == Phase::kScanning &&
+         (!only_requester_silent || requests_within(heard, sync_.start(number_)));
+}
+
+bool Station::take_time(const BeaconReception& timestamp, std::uint64_t session, Verdict verdict,
+                        bool persuasive) noexcept {
+  if (verdict == Verdict::kAdopt) {
+    if (!fresh()) replay_guard_.forget();
+    authenticator_.enter(session);
+    sync_.adopt(timestamp);
+    return true;
+  }
+  sync_.follow();
+  return sync_.on_beacon(timestamp, verdict == Verdict::kSwitch, persuasive);
+}
+
+void Station::take_content(const Frame& frame, const Beacon& beacon, bool adopted) noexcept {
+  slots_.take(beacon, adopted);
+  for (ControlChannel* channel : channels()) {
+    if (fresh() || channel == &replay_guard_) channel->on_beacon(frame, beacon);
+  }
+}
+
+// ---- frames
+
+std::optional<Station::Accepted> Station::accept(const Reception& reception, Place place,
+                                                 bool unused_slot) noexcept {
+  // One named object, so that it is returned without a copy.
+  std::optional<Accepted> frame(std::in_place);
+  if (const auto error = parse(reception.frame, *frame)) {
+    ++(*error == ParseError::kForeign ? counters_.foreign_frames : counters_.malformed_frames);
+    frame.reset();
+  } else if (frame->network != site_.network_id) {
+    ++counters_.foreign_frames;
+    frame.reset();
+  } else if (!is_for_this_node(*frame) || !authenticate(*frame, reception, place, unused_slot)) {
+    frame.reset();
+  }
+  return frame;
+}
+
+bool Station::is_for_this_node(const Frame& frame) const noexcept {
+  return frame.destination == site_.id || frame.destination == kBroadcast ||
+         std::holds_alternative<Join>(frame.body) || std::holds_alternative<Data>(frame.body);
+}
+
+bool Station::authenticate(Accepted& frame, const Reception& reception, Place place,
+                           bool unused_slot) noexcept {
+  if (!authenticator_.on()) {
+    if (frame.secured) ++counters_.foreign_frames;
+    return !frame.secured;
+  }
+  if (!frame.secured) {
+    ++counters_.unsecured_frames;
+    return false;
+  }
+  if (const auto* beacon = std::get_if<Beacon>(&frame.body)) return authenticate(frame, *beacon, reception);
+  // Without knowing the place this node cannot verify the MIC; but another node is there.
+  if (phase_ == Phase::kSearching) coexistence_.on_traffic(reception.timestamp);
+  if (phase_ == Phase::kSearching || phase_ == Phase::kScanning) return false;
+  if (const auto nonce = challenge_of(frame.body)) {
+    if (authenticator_.fits_challenge(reception.frame, place, *nonce)) return true;
+    ++counters_.forged_frames;
+    return false;
+  }
+  if (authenticator_.fits(reception.frame, place)) return true;
+  ++counters_.forged_frames;
+  if (unused_slot && std::holds_alternative<Poll>(frame.body)) coexistence_.on_unverified_poll();
+  return false;
+}
+
+Ticks Station::place_in_superframe(const Beacon& beacon) const noexcept {
+  if (beacon.merge_request) return beacon.place;
+  return (beacon.shared ? superframe_.shared() : superframe_.beacon()) + Ticks(beacon.tx_offset_dtu);
+}
+
+Ticks Station::ahead_by(const Beacon& beacon, ClockTime heard) const noexcept {
+  return sync_.start(beacon.superframe) + place_in_superframe(beacon) - heard;
+}
+
+// Once this node knows the time, a replayed beacon of its own session is late against this node's clock. A
+// beacon of another timeline may be a replay, unless it is a merge request to this session: it then came in
+// this node's own shared slot, and its MIC was made for that slot.
+Station::Trust Station::trust_in(const Beacon& beacon, ClockTime heard) const noexcept {
+  if (!knows_time()) return beacon.merge_request ? Trust::kNone : Trust::kFull;
+  const std::uint32_t number = beacon.merge_request ? superframe_at(heard) : beacon.superframe;
+  const Ticks most = superframe_.guard() + sync_.margin(number);
+  const Ticks ahead =
+      beacon.merge_request ? sync_.start(number) + superframe_.shared() - heard : ahead_by(beacon, heard);
+  const bool aligned = ahead <= most && ahead >= -most;
+  if (beacon.merge_request) return aligned ? Trust::kFull : Trust::kNone;
+  if (beacon.session != election_.session() || (!aligned && beacon.master != election_.master()))
+    return Trust::kUnverified;
+  return ahead >= -most ? Trust::kFull : Trust::kNone;
+}
+
+bool Station::authenticate(Accepted& frame, const Beacon& beacon, const Reception& reception) noexcept {
+  const Trust trust = trust_in(beacon, reception.timestamp);
+  bool fits = false;
+  if (trust != Trust::kNone && beacon.merge_request) {
+    fits = authenticator_.fits(reception.frame, beacon,
+                               {election_.session(), superframe_at(reception.timestamp)});
+  } else if (trust != Trust::kNone) {
+    fits = authenticator_.fits(reception.frame, beacon);
+  }
+  frame.unverified = fits && trust == Trust::kUnverified;
+  if (fits && !frame.unverified) return true;
+  // A merge request of this session to another one is no forgery.
+  const bool own_request = beacon.merge_request && knows_time() && beacon.session == election_.session();
+  ++(own_request ? counters_.stale_frames : counters_.forged_frames);
+  return fits;
+}
+
+Action Station::transmit(ClockTime timestamp, std::uint16_t destination, const Body& body, Place place,
+                         const MergeTarget* merge_target) noexcept {
+  serialize({.sequence = sequence_++,
+             .network = site_.network_id,
+             .destination = destination,
+             .source = site_.id,
+             .secured = authenticator_.on(),
+             .body = body},
+            outgoing_);
+  if (!fresh()) {
+    // A node that may hear a recording signs nothing else.
+    authenticator_.abandon();
+    if (const auto nonce = challenge_of(body))
+      authenticator_.begin_signing_challenge(outgoing_, place, *nonce);
+  } else if (merge_target != nullptr) {
+    authenticator_.begin_signing(outgoing_, place, *merge_target);
+  } else if (authenticator_.on()) {
+    authenticator_.begin_signing(outgoing_, place);
+  }
+  return {.kind = Action::Kind::kTransmit,
+          .slot = slot_kind(body, place),
+          .at = timestamp,
+          .frame = outgoing_.bytes()};
+}
+
+Action Station::listen(SlotKind slot, ClockTime due, std::size_t bytes, Ticks slack) const noexcept {
+  const Ticks guard = superframe_.guard() + slack;
+  const radio::Phy& phy = superframe_.phy();
+  return {.kind = Action::Kind::kListen,
+          .slot = slot,
+          .at = due - phy.before_rmarker() - guard - phy.receiver_start(),
+          .until = due + phy.after_rmarker(bytes) + guard,
+          .preamble_until = due + guard};
+}
+
+std::optional<Action> Station::listen_on(ClockTime now) const noexcept {
+  if (now >= action_.preamble_until.value_or(action_.until)) return std::nullopt;
+  return Action{
+      .kind = Action::Kind::kListenNow, .until = action_.until, .preamble_until = action_.preamble_until};
+}
+
+}  // namespace groma::mac
