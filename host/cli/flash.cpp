@@ -35,6 +35,7 @@ using provision::FlashOutcome;
 
 struct FlashOptions {
   std::filesystem::path image = provision::default_image_path();
+  std::string board = provision::kDefaultBoard;
   std::string openocd = "openocd";
   std::string adapter;
   std::string probe;
@@ -158,8 +159,13 @@ void clear_phase() {
 
 class Flashing {
  public:
-  explicit Flashing(const FlashOptions& options)
+  Flashing(const FlashOptions& options, Warnings& warnings)
       : options_(options), image_(provision::read_node_image(options.image)) {
+    provision::require_board(image_, options.board);
+    if (image_.board.empty()) {
+      warnings.add(fmt::format("{}: the image names no board; make sure that it is of the board {}",
+                               image_.path.string(), options.board));
+    }
     own_interface_ = !options.adapter.empty() && !provision::adapter_from_word(options.adapter);
     if (own_interface_ && !std::filesystem::is_regular_file(options.adapter)) {
       throw CLI::ValidationError(
@@ -231,12 +237,14 @@ Json to_json(const provision::NodeImage& image) {
   return {{"path", image.path.string()},
           {"version", image.version},
           {"git_hash", fmt::format("{:08x}", image.git_hash)},
+          {"board", image.board.empty() ? Json(nullptr) : Json(image.board)},
           {"bytes", image.bytes}};
 }
 
 // Flashes by one probe, or with --all by every connected one.
 int flash_probes(const FlashOptions& options) {
-  const Flashing flashing(options);
+  Warnings warnings;
+  const Flashing flashing(options, warnings);
   std::vector<std::string> serials{options.probe};
   if (options.all) {
     serials.clear();
@@ -260,7 +268,7 @@ int flash_probes(const FlashOptions& options) {
   } else {
     say(table.format(true));
   }
-  return first_failure;
+  return first_failure != io::kGood ? first_failure : warnings.exit_code();
 }
 
 // Flashes a plan's nodes, each by its own probe, and configures each over its port.
@@ -279,12 +287,12 @@ int flash_plan(const FlashOptions& options) {
       }
     }
   }
-  const Flashing flashing(options);
+  Warnings warnings;
+  const Flashing flashing(options, warnings);
   provision::ConfigureOptions configuring;
   configuring.reassign = options.reassign;
   configuring.build = provision::Build{flashing.image().version, flashing.image().git_hash};
 
-  Warnings warnings;
   Table table({"node", "role", "probe", "flash", "port", "configuration"});
   Json json{{"plan", plan.path.string()}, {"image", to_json(flashing.image())}, {"nodes", Json::array()}};
   int first_failure = io::kGood;
@@ -348,6 +356,8 @@ void add_flash(CLI::App& app, Action& action) {
                          "a plan also configure them. "
                          "A node that already has it is skipped: after an interruption repeat the command.");
   command->add_option("--image", options->image, "Intel HEX file")->capture_default_str();
+  command->add_option("--board", options->board, "The nodes' board; an image of another one is refused")
+      ->capture_default_str();
   command->add_option("--probe", options->probe, "Serial number of the probe");
   command->add_option(
       "--adapter", options->adapter,

@@ -3,7 +3,6 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <array>
 #include <cstddef>
 #include <cstring>
 #include <span>
@@ -25,6 +24,12 @@ using node::ImageIdentity;
 
 constexpr const char* kRemedy = "build it: cmake --preset dwm1001 && cmake --build --preset dwm1001";
 constexpr std::uint32_t kConfigurationAddress = sim::kFlashBytes - 2 * sim::kFlashPageBytes;
+
+// A text of at most `size` - 1 characters that ends with a zero.
+std::string text_at(std::span<const std::uint8_t> bytes, std::size_t offset, std::size_t size) {
+  const auto text = bytes.subspan(offset, size - 1);
+  return {text.begin(), std::find(text.begin(), text.end(), std::uint8_t{0})};
+}
 
 std::uint32_t word_at(std::span<const std::uint8_t> bytes, std::size_t offset) {
   std::uint32_t word = 0;
@@ -81,16 +86,28 @@ NodeImage read_node_image(const std::filesystem::path& path) {
   const auto mark =
       std::search(searched.begin(), searched.end(), ImageIdentity::kMark.begin(), ImageIdentity::kMark.end());
   const auto at = static_cast<std::size_t>(mark - searched.begin());
-  if (mark == searched.end() || flash.size() - at < sizeof(ImageIdentity))
+  if (mark == searched.end() || flash.size() - at < offsetof(ImageIdentity, board_mark))
     fail(path, "is not an image of a Groma node");
   NodeImage image;
   image.path = path;
   image.bytes = flash.size();
-  std::array<char, sizeof(ImageIdentity::version)> version{};
-  std::memcpy(version.data(), flash.data() + at + offsetof(ImageIdentity, version), version.size() - 1);
-  image.version = version.data();
+  image.version = text_at(flash, at + offsetof(ImageIdentity, version), sizeof(ImageIdentity::version));
   image.git_hash = word_at(flash, at + offsetof(ImageIdentity, git_hash));
+  const bool names_board =
+      flash.size() - at >= sizeof(ImageIdentity) &&
+      std::equal(ImageIdentity::kBoardMark.begin(), ImageIdentity::kBoardMark.end(),
+                 flash.begin() + static_cast<std::ptrdiff_t>(at + offsetof(ImageIdentity, board_mark)));
+  if (names_board)
+    image.board = text_at(flash, at + offsetof(ImageIdentity, board), sizeof(ImageIdentity::board));
   return image;
+}
+
+void require_board(const NodeImage& image, const std::string& board) {
+  if (image.board.empty() || image.board == board) return;
+  throw io::DataError(
+      {image.path},
+      fmt::format("is an image of the board {}, whose pins are not those of {}", image.board, board),
+      fmt::format("give the image of {}, or '--board {}' if the nodes are such boards", board, image.board));
 }
 
 std::filesystem::path default_image_path() {

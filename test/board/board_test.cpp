@@ -187,7 +187,7 @@ TEST_F(Board, ReportsTheIdentityOfItsImage) {
   const auto end = begin + ImageIdentity::kSearched_bytes;
   const auto found = std::search(begin, end, ImageIdentity::kMark.begin(), ImageIdentity::kMark.end());
   ASSERT_NE(found, end);
-  ImageIdentity identity("", 0);
+  ImageIdentity identity("", 0, "");
   std::memcpy(&identity, &*found, sizeof(identity));
   run_until(1.0);
   ASSERT_EQ(listener.hellos.size(), 1U);

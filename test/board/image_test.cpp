@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <cstddef>
 #include <cstdint>
 #include <filesystem>
 #include <fstream>
@@ -13,6 +14,7 @@
 #include <string>
 #include <vector>
 
+#include "firmware/core/node/image_identity.hpp"
 #include "firmware/sim/emulator/firmware_image.hpp"
 #include "firmware/sim/emulator/hex_file.hpp"
 #include "test/board/image_file.hpp"
@@ -125,6 +127,21 @@ TEST_P(Image, BeginsWithAVectorTableOfItsHandlers) {
     const auto found = served.find(vector);
     EXPECT_EQ(entry, handler(found == served.end() ? "fault_entry" : found->second)) << "vector " << vector;
   }
+}
+
+TEST_P(Image, NamesItsBoard) {
+  using node::ImageIdentity;
+  std::string begin(ImageIdentity::kSearched_bytes, '\xFF');
+  for (const auto& [address, byte] : elf_->loaded()) {
+    if (address < begin.size()) begin[address] = static_cast<char>(byte);
+  }
+  const std::size_t at = begin.find(std::string(ImageIdentity::kMark.begin(), ImageIdentity::kMark.end()));
+  ASSERT_NE(at, std::string::npos);
+  const auto text = [&](std::size_t offset, std::size_t bytes) { return begin.substr(at + offset, bytes); };
+  EXPECT_EQ(text(offsetof(ImageIdentity, board_mark), sizeof(ImageIdentity::board_mark)), "GROMABRD");
+  std::string name = GetParam() == std::string(test::kShippedImage) ? "dwm1001" : "nrf52832_dw1000";
+  name.resize(sizeof(ImageIdentity::board));
+  EXPECT_EQ(text(offsetof(ImageIdentity, board), name.size()), name);
 }
 
 TEST_P(Image, KeepsItsFaultRecordAtStartUp) {

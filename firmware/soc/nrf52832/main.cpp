@@ -16,7 +16,10 @@ constinit Platform platform;
 
 // For tools that flash the image: see image_identity.hpp.
 [[gnu::used, gnu::section(".identity")]] constexpr groma::node::ImageIdentity kIdentity(groma::kVersion,
-                                                                                        groma::kGitHash);
+                                                                                        groma::kGitHash,
+                                                                                        GROMA_BOARD);
+static_assert(sizeof(GROMA_BOARD) <= sizeof(groma::node::ImageIdentity::board),
+              "the folder of the board needs a shorter name");
 
 }  // namespace
 

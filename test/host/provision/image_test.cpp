@@ -3,9 +3,12 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <cstddef>
+#include <cstdint>
 #include <string>
 #include <vector>
 
+#include "firmware/core/node/image_identity.hpp"
 #include "host/io/error.hpp"
 #include "test/host/provision/small_image.hpp"
 #include "test/support/scratch_folder.hpp"
@@ -33,7 +36,49 @@ TEST(NodeImage, HasVersionHashAndSize) {
   const NodeImage image = read_node_image(scratch / "node.hex");
   EXPECT_EQ(image.version, "1.2.3");
   EXPECT_EQ(image.git_hash, 0xC0FFEE01);
+  EXPECT_EQ(image.board, "dwm1001");
   EXPECT_EQ(image.bytes, 5000U);
+}
+
+std::string board_fault_of(const std::vector<std::uint8_t>& image, const std::string& board) {
+  const ScratchFolder scratch;
+  scratch.write("node.hex", test::hex_of(image) + test::kHexEnd);
+  try {
+    require_board(read_node_image(scratch / "node.hex"), board);
+  } catch (const io::DataError& error) {
+    return error.what();
+  }
+  return "none";
+}
+
+TEST(NodeImage, OfAnotherBoardIsRefused) {
+  const std::vector<std::uint8_t> image = test::small_image(5000, "1.2.3", 0, "nrf52832_dw1000");
+  EXPECT_EQ(board_fault_of(image, "nrf52832_dw1000"), "none");
+  EXPECT_THAT(board_fault_of(image, "dwm1001"),
+              HasSubstr("node.hex: is an image of the board nrf52832_dw1000, whose pins are not those of "
+                        "dwm1001; give the image of dwm1001, or '--board nrf52832_dw1000' if the nodes are "
+                        "such boards"));
+  EXPECT_THAT(board_fault_of(image, "nrf52832"), HasSubstr("whose pins are not those of nrf52832;"));
+}
+
+TEST(NodeImage, OfAnOlderReleaseNamesNoBoard) {
+  using node::ImageIdentity;
+  std::vector<std::uint8_t> image = test::small_image(5000, "0.1.0", 0xC0FFEE01, "nrf52832_dw1000");
+  image[0x100 + offsetof(ImageIdentity, board_mark)] ^= 1U;
+  const auto read = [](const std::vector<std::uint8_t>& bytes) {
+    const ScratchFolder scratch;
+    scratch.write("node.hex", test::hex_of(bytes) + test::kHexEnd);
+    return read_node_image(scratch / "node.hex");
+  };
+  EXPECT_EQ(read(image).board, "");
+  EXPECT_EQ(board_fault_of(image, "dwm1001"), "none");
+  // The file may end with the identity.
+  image.resize(0x100 + offsetof(ImageIdentity, board_mark));
+  image[4] = 0x81;
+  image[5] = 0;
+  EXPECT_EQ(read(image).board, "");
+  EXPECT_EQ(read(image).version, "0.1.0");
+  EXPECT_EQ(read(image).git_hash, 0xC0FFEE01);
 }
 
 TEST(NodeImage, MayWriteUicr) {

@@ -12,6 +12,8 @@
 #include <chrono>
 #include <cmath>
 #include <csignal>
+#include <cstddef>
+#include <cstdint>
 #include <filesystem>
 #include <functional>
 #include <limits>
@@ -23,6 +25,7 @@
 #include <nlohmann/json.hpp>
 
 #include "firmware/core/node/config.hpp"
+#include "firmware/core/node/image_identity.hpp"
 #include "host/link/byte_link.hpp"
 #include "host/provision/configure.hpp"
 #include "test/host/provision/emulated_part.hpp"
@@ -381,6 +384,43 @@ TEST_F(CommandTest, FlashWithoutAPlanDoesNotConfigure) {
   EXPECT_THAT(result.out, HasSubstr("p11    flashed  simulated"));
   EXPECT_EQ(parts_[2]->pages_erased(), 2);
   EXPECT_EQ(parts_[1]->pages_erased(), 0);
+}
+
+TEST_F(CommandTest, FlashRefusesTheImageOfAnotherBoardBeforeAnythingIsErased) {
+  scratch_.write("other.hex",
+                 test::hex_of(test::small_image(4608, "simulated", 0, "nrf52832_dw1000")) + test::kHexEnd);
+  std::vector<std::string> arguments{"flash",   "--image", path("other.hex"), "--adapter", path("probe.cfg"),
+                                     "--probe", "p11",     "--json"};
+  const ChildResult refused = groma_run(arguments);
+  EXPECT_EQ(refused.exit_code, 65);
+  EXPECT_THAT(refused.err,
+              HasSubstr("other.hex: is an image of the board nrf52832_dw1000, whose pins are not "
+                        "those of dwm1001; give the image of dwm1001"));
+  EXPECT_EQ(parts_[2]->pages_erased(), 0);
+  EXPECT_EQ(groma_run({"flash", "--image", path("other.hex"), "--adapter", path("probe.cfg"), "--plan",
+                       path("plan.yaml")})
+                .exit_code,
+            65);
+  for (const auto& part : parts_) EXPECT_EQ(part->pages_erased(), 0);
+
+  arguments.insert(arguments.end(), {"--board", "nrf52832_dw1000"});
+  const ChildResult flashed = groma_run(arguments);
+  EXPECT_EQ(flashed.exit_code, 0) << flashed.err;
+  EXPECT_EQ(json::parse(flashed.out)["image"]["board"], "nrf52832_dw1000");
+  EXPECT_EQ(parts_[2]->pages_erased(), 2);
+}
+
+TEST_F(CommandTest, FlashWarnsOfAnImageThatNamesNoBoard) {
+  std::vector<std::uint8_t> old = image_;
+  old[0x100 + offsetof(node::ImageIdentity, board_mark)] ^= 1U;
+  scratch_.write("old.hex", test::hex_of(old) + test::kHexEnd);
+  const ChildResult result = groma_run(
+      {"flash", "--image", path("old.hex"), "--adapter", path("probe.cfg"), "--probe", "p11", "--json"});
+  EXPECT_EQ(result.exit_code, 3) << result.err;
+  EXPECT_THAT(result.err,
+              HasSubstr("old.hex: the image names no board; make sure that it is of the board dwm1001"));
+  EXPECT_TRUE(json::parse(result.out)["image"]["board"].is_null());
+  EXPECT_EQ(parts_[2]->pages_erased(), 2);
 }
 
 TEST(FlashCommand, PrintsItsUdevRules) {

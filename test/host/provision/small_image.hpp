@@ -18,13 +18,13 @@ namespace groma::provision::test {
 
 // Vector table, identity, then noise.
 inline std::vector<std::uint8_t> small_image(std::size_t bytes, const char* version = "simulated",
-                                             std::uint32_t git_hash = 0) {
+                                             std::uint32_t git_hash = 0, const char* board = "dwm1001") {
   std::vector<std::uint8_t> image(bytes);
   std::minstd_rand random(1);
   for (std::uint8_t& byte : image) byte = static_cast<std::uint8_t>(random() >> 8);
   const std::uint32_t stack = 0x2000'1000;
   const std::uint32_t entry = 0x201;
-  const node::ImageIdentity identity(version, git_hash);
+  const node::ImageIdentity identity(version, git_hash, board);
   std::memcpy(image.data(), &stack, sizeof stack);
   std::memcpy(image.data() + 4, &entry, sizeof entry);
   std::memcpy(image.data() + 0x100, &identity, sizeof identity);
