@@ -9,9 +9,12 @@
 
 namespace groma::test {
 
-// The test program has to define GROMA_SOURCE_DIR. extension: ".elf" or ".hex".
+// The test program has to define GROMA_SOURCE_DIR; the environment variable GROMA_IMAGE_FOLDER names another
+// folder. extension: ".elf" or ".hex".
 inline std::filesystem::path shipped_image(const std::string& extension) {
-  return std::filesystem::path(GROMA_SOURCE_DIR) / "build/dwm1001" / ("groma-node" + extension);
+  const char* folder = std::getenv("GROMA_IMAGE_FOLDER");
+  const auto built = std::filesystem::path(GROMA_SOURCE_DIR) / "build/dwm1001";
+  return (folder != nullptr ? std::filesystem::path(folder) : built) / ("groma-node" + extension);
 }
 
 }  // namespace groma::test

@@ -80,7 +80,7 @@ bool ClockPower::write(SimTime t, std::uint32_t offset, std::uint32_t value) {
     case kTasksHfclkstart:
       if (value == 0 || hfxo_requested_) return true;
       hfxo_requested_ = true;
-      hfxo_at_ = t + kHfxoStart;
+      hfxo_at_ = t + hfxo_start_;
       return true;
     case kTasksHfclkstop:
       if (value == 0) return true;

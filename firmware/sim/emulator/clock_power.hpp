@@ -4,6 +4,7 @@
 #include <array>
 
 #include "firmware/sim/emulator/peripheral.hpp"
+#include "firmware/sim/emulator/silicon.hpp"
 
 namespace groma::sim {
 
@@ -18,16 +19,16 @@ enum class ResetCause : std::uint32_t {
 
 class ClockPower final : public Peripheral {
  public:
-  static constexpr SimTime kHfxoStart = 360 * kUnitsPerMicrosecond;
   static constexpr SimTime kLfxoStart = 250 * kUnitsPerMillisecond;
   static constexpr SimTime kLfrcStart = 600 * kUnitsPerMicrosecond;
   // Anomaly 132: from a stop or reset to the next start.
   static constexpr SimTime kLfclkRestart = 330 * kUnitsPerMicrosecond;
 
-  // `guards_restart`: LFCLKSTART sooner than kLfclkRestart fails the run. `slow_crystal`: the board has a
-  // 32.768 kHz crystal; a start without it fails the run.
-  explicit ClockPower(bool guards_restart, bool slow_crystal = true) noexcept
-      : guards_restart_(guards_restart), slow_crystal_(slow_crystal) {}
+  // `slow_crystal`: the board has a 32.768 kHz crystal; a start without it fails the run.
+  explicit ClockPower(const SiliconQuirks& silicon, bool slow_crystal = true) noexcept
+      : guards_restart_(silicon.lfclk_restart),
+        hfxo_start_(silicon.hfxo_start),
+        slow_crystal_(slow_crystal) {}
 
   // Registers that survive a soft reset keep their values; RESETREAS accumulates causes.
   void reset(ResetCause cause, SimTime t);
@@ -46,6 +47,7 @@ class ClockPower final : public Peripheral {
   static constexpr unsigned kLfclkStarted = 1;
 
   bool guards_restart_;
+  SimTime hfxo_start_;
   bool slow_crystal_;
   EventRegisters events_{1U << kHfclkStarted | 1U << kLfclkStarted};
   SimTime lfclk_stopped_at_ = 0;

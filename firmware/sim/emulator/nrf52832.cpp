@@ -35,7 +35,7 @@ Nrf52832::Nrf52832(const Parts& parts)
       random_(parts.identity.device_id),
       slots_{{{"SPIM1", parts.can, parts.board.can.value_or(kNoChip), false},
               {"SPIM2", &parts.radio, parts.board.radio, true}}},
-      clock_power_(parts.silicon.lfclk_restart, parts.board.slow_crystal),
+      clock_power_(parts.silicon, parts.board.slow_crystal),
       gpio_([this](SimTime t, unsigned pin, PinDrive drive) { pin_driven(t, pin, drive); },
             [this](SimTime, unsigned pin, bool high) { gpiote_.level_changed(pin, high); }),
       spim1_("SPIM1", slots_[0].wiring.spi, EasyDma(parts.ram), parts.spi_overhead,

@@ -2,6 +2,8 @@
 // sources, and what is uncertain. Each quirk can be switched off.
 #pragma once
 
+#include "firmware/sim/time.hpp"
+
 namespace groma::sim {
 
 struct SiliconQuirks {
@@ -22,6 +24,9 @@ struct SiliconQuirks {
   // Anomaly 132: the low-frequency clock may not start if it is started soon after it stopped, or after a
   // reset. In the model this fails the run (ClockPower::kLfclkRestart).
   bool lfclk_restart = true;
+
+  // From the request of the main crystal to its run; the specification has 360 us as typical.
+  SimTime hfxo_start = 360 * kUnitsPerMicrosecond;
 };
 
 }  // namespace groma::sim

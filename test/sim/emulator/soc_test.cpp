@@ -76,7 +76,7 @@ TEST(ClockPower, StartsItsCrystalsInTheirTime) {
 }
 
 TEST(ClockPower, DoesNotStartTheSlowClockSoonAfterItStopped) {
-  ClockPower clock(true);
+  ClockPower clock(SiliconQuirks{});
   clock.reset(ResetCause::kPin, 0);
   const auto start = [&](SimTime t) { EXPECT_TRUE(clock.write(t, 0x008, 1)); };
   EXPECT_THAT(SocBench::error_of([&] { start(ClockPower::kLfclkRestart - 1); }), HasSubstr("anomaly 132"));
@@ -85,7 +85,7 @@ TEST(ClockPower, DoesNotStartTheSlowClockSoonAfterItStopped) {
   EXPECT_THAT(SocBench::error_of([&] { start(kMillisecond + 138 * kMicrosecond); }),
               HasSubstr("anomaly 132"));
   start(kMillisecond + ClockPower::kLfclkRestart);
-  ClockPower other(false);
+  ClockPower other({.lfclk_restart = false});
   EXPECT_TRUE(other.write(0, 0x008, 1));
 }
 
