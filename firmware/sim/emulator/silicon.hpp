@@ -1,5 +1,5 @@
 // What the nRF52832's silicon does beyond its product specification: docs/explanation/silicon.md has the
-// sources, and what is uncertain. Each quirk can be switched off.
+// sources, and what is uncertain. Each quirk can be switched off; the start of the crystal is a time.
 #pragma once
 
 #include "firmware/sim/time.hpp"
