@@ -9,6 +9,14 @@
 
 namespace groma::node {
 
+// An array with the text and zeros behind it; a longer text is truncated.
+template <std::size_t N>
+constexpr std::array<char, N> zero_terminated(const char* text) noexcept {
+  std::array<char, N> out{};
+  for (std::size_t i = 0; i + 1 < N && text[i] != '\0'; ++i) out[i] = text[i];
+  return out;
+}
+
 struct ImageIdentity {
   static constexpr std::array<char, 8> kMark{'G', 'R', 'O', 'M', 'A', 'I', 'M', 'G'};
   // Older images end with the hash: other bytes follow there.
@@ -16,24 +24,14 @@ struct ImageIdentity {
   // The mark is within this many bytes of the start of flash.
   static constexpr std::size_t kSearched_bytes = 1024;
 
-  // A longer version or name is truncated.
   constexpr ImageIdentity(const char* version_text, std::uint32_t hash, const char* board_name) noexcept
-      : git_hash(hash) {
-    copy(version_text, version);
-    copy(board_name, board);
-  }
+      : version(zero_terminated<24>(version_text)), git_hash(hash), board(zero_terminated<24>(board_name)) {}
 
   std::array<char, 8> mark = kMark;
-  std::array<char, 24> version{};  // ends with a zero
-  std::uint32_t git_hash;          // little-endian
+  std::array<char, 24> version;  // ends with a zero
+  std::uint32_t git_hash;        // little-endian
   std::array<char, 8> board_mark = kBoardMark;
-  std::array<char, 24> board{};  // its folder's name in firmware/board; ends with a zero
-
- private:
-  template <std::size_t N>
-  static constexpr void copy(const char* text, std::array<char, N>& out) noexcept {
-    for (std::size_t i = 0; i + 1 < N && text[i] != '\0'; ++i) out[i] = text[i];
-  }
+  std::array<char, 24> board;  // its folder's name in firmware/board; ends with a zero
 };
 static_assert(sizeof(ImageIdentity) == 68);
 
