@@ -1,5 +1,6 @@
 """Mutations of the chip's code: each leaves out what a quirk of the silicon requires; see scripts/mutations."""
 
+ECB = "firmware/soc/nrf52832/ecb.cpp"
 SPIM = "firmware/soc/nrf52832/spim.cpp"
 PLATFORM = "firmware/soc/nrf52832/platform.cpp"
 CPU = "firmware/soc/nrf52832/cpu.hpp"
@@ -17,9 +18,14 @@ MUTATIONS = [
      "pin::configure(pins_.clock, gpio::kOutput);",
      "ShippedSilicon.ConnectsTheInputBufferOfBothSpiClocks"),
     ("UART: asleep at the start of a message", PLATFORM,
-     "if (uart_.starting() || ecb_.busy()) return;",
-     "if (ecb_.busy()) return;",
+     "  if (uart_.starting()) return;\n",
+     "",
      "ShippedSilicon.StaysAwakeAtTheStartOfMessages"),
+    ("ECB: asleep while a block is encrypted", ECB,
+     "  while (state_ == State::kBusy) {\n",
+     "  while (state_ == State::kBusy) {\n"
+     "    asm volatile(\"cpsid i\\n dsb\\n wfi\\n nop\\n nop\\n nop\\n nop\\n cpsie i\" ::: \"memory\");\n",
+     "ShippedSilicon.StaysAwakeWhileBlocksAreEncrypted"),
     ("sleep: three NOPs after the wake-up", CPU,
      "wfi\\n nop\\n nop\\n nop\\n nop",
      "wfi\\n nop\\n nop\\n nop",

@@ -40,6 +40,7 @@ void Ecb::advance(SimTime t) {
   security::Block block{};
   std::copy_n(taken_.begin(), key.size(), key.begin());
   std::copy_n(taken_.begin() + key.size(), block.size(), block.begin());
+  if (spoiled_ != 0) ++spoiled_blocks_;
   block[0] ^= std::exchange(spoiled_, std::uint8_t{0});
   if (aes_.encrypt(key, block)) std::copy(block.begin(), block.end(), data.last(block.size()).begin());
   ++blocks_;

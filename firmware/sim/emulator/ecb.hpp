@@ -23,6 +23,8 @@ class Ecb final : public Peripheral {
 
   // Number of blocks encrypted.
   [[nodiscard]] std::uint64_t blocks() const noexcept { return blocks_; }
+  // Number of them that spoil_start() changed.
+  [[nodiscard]] std::uint64_t spoiled_blocks() const noexcept { return spoiled_blocks_; }
 
   [[nodiscard]] std::optional<std::uint32_t> read(SimTime t, std::uint32_t offset) override;
   [[nodiscard]] bool write(SimTime t, std::uint32_t offset, std::uint32_t value) override;
@@ -45,6 +47,7 @@ class Ecb final : public Peripheral {
   std::uint8_t spoiled_ = 0;              // bits of the clear block's first byte
   std::array<std::uint8_t, 32> taken_{};  // copy of key and clear block at the start
   std::uint64_t blocks_ = 0;
+  std::uint64_t spoiled_blocks_ = 0;
 };
 
 }  // namespace groma::sim

@@ -85,7 +85,7 @@ bool Platform::radio_interrupt() const noexcept {
 
 void Platform::sleep_until(std::uint64_t t_us) noexcept {
   const InterruptLock lock;
-  if (uart_.starting() || ecb_.busy()) return;
+  if (uart_.starting()) return;
   const std::uint64_t wake_us =
       std::min({t_us, leds_.next_change_us(), uart_.next_poll_us(), can_.next_deadline_us()});
   if (!radio_interrupt() && !can_.waiting() && clock::wake_at(wake_us)) sleep();

@@ -2,6 +2,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <cstdint>
 #include <string>
 #include <utility>
 
@@ -17,9 +18,10 @@ class ShippedSilicon : public testing::Test {
 };
 
 struct Outcome {
-  std::string error;      // a misuse of the hardware, which ended the run
-  int good_ranges = 0;    // in a second
-  int damaged_bytes = 0;  // on the tag's line to its host
+  std::string error;                 // a misuse of the hardware, which ended the run
+  int good_ranges = 0;               // in a second
+  int damaged_bytes = 0;             // on the tag's line to its host
+  std::uint64_t spoiled_blocks = 0;  // of the tag's ECB
 };
 
 // A tag that runs the image, in a network of native anchors.
@@ -33,6 +35,7 @@ Outcome outcome_of(const EmulatorOptions& options, const SiteSettings& settings)
   }
   out.good_ranges = site.good_ranges(1.0);
   out.damaged_bytes = static_cast<int>(site.listeners[0].frames().bytes_discarded);
+  out.spoiled_blocks = emulated(site, 0).soc().ecb().spoiled_blocks();
   return out;
 }
 
@@ -48,7 +51,7 @@ SiteSettings keyed_site() {
 
 // ---- anomaly 109 ------------------------------------------------------------------------------------------
 
-// It sleeps again soon after an interrupt that starts the next piece of a message or the next block of a MIC.
+// It sleeps again soon after an interrupt that starts the next piece of a message.
 EmulatorOptions fast_processor(const SiliconQuirks& silicon = {}) {
   EmulatorOptions options;
   options.timing.instruction /= 64;
@@ -74,7 +77,7 @@ TEST_F(ShippedSilicon, StaysAwakeWhileBlocksAreEncrypted) {
   const Outcome out = outcome_of(fast_processor(), keyed_site());
   EXPECT_EQ(out.error, "");
   EXPECT_GT(out.good_ranges, 100);
-  EXPECT_EQ(out.good_ranges, outcome_of(fast_processor({.ecb_start = false}), keyed_site()).good_ranges);
+  EXPECT_EQ(out.spoiled_blocks, 0U);
 }
 
 // ---- anomaly 220 ------------------------------------------------------------------------------------------
