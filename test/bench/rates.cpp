@@ -62,10 +62,15 @@ std::string text_of_join(const SiteRate& rate, int tags, int anchors) {
 void print(const SiteRate& rate, const SiteSettings& settings) {
   std::printf(
       "%.0f ranges/s of %.0f by the schedule, %.0f by air time alone; late: %d transmits, %d receives; %d "
-      "reports lost, %d recoveries; %s; least slack in us: tags%s, anchors%s\n",
+      "reports lost, %d recoveries; %s; least slack in us: tags%s, anchors%s",
       rate.ranges_per_s, rate.schedule_per_s, rate.bound_per_s, rate.late_transmits, rate.late_receives,
       rate.reports_lost, rate.recoveries, text_of_join(rate, settings.tags, settings.anchors).c_str(),
       text_of(rate.tags_slack_us).c_str(), text_of(rate.anchors_slack_us).c_str());
+  if (rate.instructions_per_range > 0.0) {
+    std::printf("; %.0f instructions a range; processors busy for %.1f %% (tags) and %.1f %% (anchors)",
+                rate.instructions_per_range, 100.0 * rate.tags_load, 100.0 * rate.anchors_load);
+  }
+  std::puts("");
 }
 
 bool have_image() {

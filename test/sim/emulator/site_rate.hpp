@@ -11,6 +11,7 @@
 #include <span>
 #include <utility>
 
+#include "firmware/sim/emulator/emulated_node.hpp"
 #include "test/sim/site_bench.hpp"
 
 namespace groma::sim {
@@ -32,6 +33,10 @@ struct SiteRate {
   using Slacks = std::array<std::optional<std::int32_t>, 5>;
   Slacks tags_slack_us{};
   Slacks anchors_slack_us{};
+  // Of the emulated nodes; zero if there are none.
+  double instructions_per_range = 0.0;  // of all nodes together
+  double tags_load = 0.0;               // mean share of the time in which the processor does not sleep
+  double anchors_load = 0.0;
 };
 
 // The air time of one superframe with an empty shared slot, in seconds.
@@ -45,6 +50,27 @@ inline double air_time_s(const mac::Superframe& superframe, std::size_t tags, st
                         static_cast<double>(anchors) * air_s(mac::kResponseBytes) +
                         (superframe.has_final() ? air_s(mac::kFinalBytes) : 0.0);
   return air_s(mac::beacon_bytes(tags, false)) + static_cast<double>(tags) * slot_s;
+}
+
+// Totals since the first power-on.
+struct Processors {
+  std::uint64_t instructions = 0;
+  std::array<double, 2> busy_s{};  // of tags, of anchors
+  std::array<double, 2> powered_s{};
+};
+
+inline Processors processors(SiteBench& site, std::size_t tags) {
+  Processors out;
+  for (std::size_t i = 0; i < site.network.size(); ++i) {
+    const auto* node = dynamic_cast<const EmulatedNode*>(&site.network.node(i));
+    if (node == nullptr) continue;
+    const EmulatorUsage usage = node->usage(site.network.now());
+    const std::size_t kind = i < tags ? 0 : 1;
+    out.instructions += usage.instructions;
+    out.busy_s.at(kind) += usage.cpu_load * usage.powered_s;
+    out.powered_s.at(kind) += usage.powered_s;
+  }
+  return out;
 }
 
 struct Join {
@@ -112,9 +138,11 @@ inline SiteRate measure_rate(const SiteSettings& settings, double seconds, unsig
   };
   run_for(kTelemetry_s);
   count(-1);
+  const Processors before = processors(site, tags);
   const double begin_s = to_seconds(site.network.now());
   const double span_s = std::ceil(seconds / superframe_s) * superframe_s;
   run_for(span_s + kTelemetry_s);
+  const Processors after = processors(site, tags);
   count(1);
   groma_HostToNode ask = groma_HostToNode_init_zero;
   ask.which_body = groma_HostToNode_get_slack_tag;
@@ -143,6 +171,14 @@ inline SiteRate measure_rate(const SiteSettings& settings, double seconds, unsig
     }
   }
   out.ranges_per_s = good / span_s;
+  const auto load = [&](std::size_t kind) {
+    const double powered_s = after.powered_s.at(kind) - before.powered_s.at(kind);
+    return powered_s > 0.0 ? (after.busy_s.at(kind) - before.busy_s.at(kind)) / powered_s : 0.0;
+  };
+  out.tags_load = load(0);
+  out.anchors_load = load(1);
+  out.instructions_per_range = static_cast<double>(after.instructions - before.instructions) /
+                               (span_s + kTelemetry_s) / std::max(1.0, out.ranges_per_s);
   return out;
 }
 
