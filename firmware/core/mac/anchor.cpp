@@ -4,9 +4,6 @@
 
 namespace groma::mac {
 
-using ranging::ClockTime;
-using ranging::Ticks;
-
 namespace {
 
 constexpr int kSilent = 4;  // superframes without a POLL after which a slot counts as unused

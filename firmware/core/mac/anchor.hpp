@@ -38,17 +38,17 @@ class Anchor final : public Station {
     std::uint16_t tag = kNobody;
     std::uint16_t exchange = 0;
     std::uint32_t superframe = 0;
-    bool valid = false;              // the RESPONSE was sent at `responded`
-    bool closing_valid = false;      // a FINAL came in
-    ranging::ClockTime responded{};  // A2
-    ranging::Ticks closing{};        // A3 - A2
+    bool valid = false;          // the RESPONSE was sent at `responded`
+    bool closing_valid = false;  // a FINAL came in
+    ClockTime responded{};       // A2
+    Ticks closing{};             // A3 - A2
   };
 
-  [[nodiscard]] std::optional<Action> slot_action(ranging::ClockTime now) noexcept override;
+  [[nodiscard]] std::optional<Action> slot_action(ClockTime now) noexcept override;
   [[nodiscard]] Place slot_place() const noexcept override {
     return {slots_of_, static_cast<std::uint8_t>(slot_)};
   }
-  [[nodiscard]] Step slot_transmitted(ranging::ClockTime timestamp) noexcept override;
+  [[nodiscard]] Step slot_transmitted(ClockTime timestamp) noexcept override;
   [[nodiscard]] Step slot_received(const Reception& reception) noexcept override;
   void forget_exchanges() noexcept override;
 
@@ -57,13 +57,11 @@ class Anchor final : public Station {
                                              const Reception& reception) noexcept;
   // Listens for the slot's POLL. If none has come for a while, listens to the end of the slot: a frame there
   // belongs to another network.
-  [[nodiscard]] Action listen_in_slot(ranging::ClockTime due) const noexcept;
+  [[nodiscard]] Action listen_in_slot(ClockTime due) const noexcept;
   void enter_next_slot() noexcept;
-  void go_on_to(ranging::ClockTime now) noexcept;
+  void go_on_to(ClockTime now) noexcept;
   // The slot's POLL is due no earlier or later than by this.
-  [[nodiscard]] ranging::Ticks tolerance() const noexcept {
-    return superframe().guard() + sync().margin(slots_of_);
-  }
+  [[nodiscard]] Ticks tolerance() const noexcept { return superframe().guard() + sync().margin(slots_of_); }
   // The reception is where the POLL of the present slot is due.
   [[nodiscard]] bool in_time(const Reception& reception) const noexcept;
   // The tag in whose slot the POLL is sent: its sender, or the present slot's owner, which lent it.
@@ -87,7 +85,7 @@ class Anchor final : public Station {
   std::array<std::uint8_t, kMaxTags> silent_{};    // of each slot: superframes without a POLL
   std::array<std::uint16_t, kMaxTags> pollers_{};  // of each slot: the sender of its last POLL
   std::uint32_t polls_missing_ = 0;                // superframes without a POLL that names this anchor
-  ranging::ClockTime poll_heard_{};
+  ClockTime poll_heard_{};
   std::size_t polled_ = 0;      // number of anchors in the POLL
   Record* answered_ = nullptr;  // of the POLL's sender
   std::array<Record, kMaxTags> records_{};

@@ -5,9 +5,6 @@
 namespace groma::mac {
 namespace {
 
-using ranging::ClockTime;
-using ranging::Ticks;
-
 constexpr auto kTicksPerSecond = static_cast<float>(Ticks::kPerSecond);
 constexpr float kTicksPerSecondPerPpb = kTicksPerSecond * 1e-9F;
 

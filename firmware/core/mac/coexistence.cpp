@@ -8,9 +8,6 @@
 namespace groma::mac {
 namespace {
 
-using ranging::ClockTime;
-using ranging::Ticks;
-
 // Superframes in which the nodes of a new session do not scan for missing frames.
 constexpr std::uint32_t kSettling = 16;
 // For this time after a beacon with a newer schedule a node starts no session, and for this time after it

@@ -58,22 +58,21 @@ class Coexistence {
 
   // Starts the search, at power-up or when the time is lost.
   // Listens for `rounds` rounds of relaying more before it starts a session.
-  void search(ranging::ClockTime now, std::uint32_t rounds = 0) noexcept;
+  void search(ClockTime now, std::uint32_t rounds = 0) noexcept;
   // As MasterElection::on_traffic(), except while this node displaces a network with an older schedule.
-  void on_traffic(ranging::ClockTime now) noexcept;
+  void on_traffic(ClockTime now) noexcept;
   // Starts a session, as MasterElection::found().
   void found() noexcept;
 
   // Judges a beacon of this network, sent by `source`. `ahead`: how far its timeline is ahead of this node's;
   // ignored while searching.
-  [[nodiscard]] Verdict judge(std::uint16_t source, const Beacon& beacon, ranging::Ticks ahead,
-                              ranging::ClockTime now) noexcept;
+  [[nodiscard]] Verdict judge(std::uint16_t source, const Beacon& beacon, Ticks ahead,
+                              ClockTime now) noexcept;
   // In a network with a key, while not searching: judges an unverified beacon of another timeline, which may
   // be a recording. This node does not join that timeline, but may send merge requests to it.
   [[nodiscard]] Verdict judge_unverified(std::uint16_t source, const Beacon& beacon) noexcept;
   // In a network with a key, while not searching: judges a verified merge request.
-  [[nodiscard]] Verdict judge_merge_request(std::uint16_t source, const Beacon& beacon,
-                                            ranging::Ticks ahead) noexcept;
+  [[nodiscard]] Verdict judge_merge_request(std::uint16_t source, const Beacon& beacon, Ticks ahead) noexcept;
 
   // Reports a frame of this network that does not fit the timeline: another session may be near.
   void suspect() noexcept { suspected_ = election_.number(); }
@@ -102,7 +101,7 @@ class Coexistence {
   [[nodiscard]] bool ask_for_silence() noexcept;
   // Call after a beacon of this master was sent. Returns true if it was the last one; this node then
   // searches.
-  [[nodiscard]] bool on_led(ranging::ClockTime now) noexcept;
+  [[nodiscard]] bool on_led(ClockTime now) noexcept;
 
   // This node may send a merge request in the shared slot of the other session's superframe `number`.
   [[nodiscard]] bool may_request_merge(std::uint32_t number) const noexcept;
@@ -118,16 +117,15 @@ class Coexistence {
   void restart_pauses(std::uint32_t number) noexcept;
   void follow(std::uint16_t source, const Beacon& beacon) noexcept;
   // Its session has dissolved: starts to search for the other session. `number`: of its last beacon.
-  void leave_session(ranging::ClockTime now, std::uint32_t number) noexcept;
-  [[nodiscard]] bool is_avoided(const Beacon& beacon, ranging::ClockTime now) const noexcept;
+  void leave_session(ClockTime now, std::uint32_t number) noexcept;
+  [[nodiscard]] bool is_avoided(const Beacon& beacon, ClockTime now) const noexcept;
   [[nodiscard]] bool of_this_schedule(const Beacon& beacon) const noexcept;
-  [[nodiscard]] bool gives_way(const Beacon& beacon, ranging::Ticks ahead) const noexcept;
-  [[nodiscard]] Verdict judge_schedule(const Beacon& beacon, ranging::ClockTime now) noexcept;
-  [[nodiscard]] Verdict judge_other_schedule_while_searching(bool newer, ranging::ClockTime now) noexcept;
-  [[nodiscard]] Verdict judge_other_session(std::uint16_t source, const Beacon& beacon,
-                                            ranging::Ticks ahead) noexcept;
-  [[nodiscard]] Verdict judge_own_session(std::uint16_t source, const Beacon& beacon, ranging::Ticks ahead,
-                                          ranging::ClockTime now) noexcept;
+  [[nodiscard]] bool gives_way(const Beacon& beacon, Ticks ahead) const noexcept;
+  [[nodiscard]] Verdict judge_schedule(const Beacon& beacon, ClockTime now) noexcept;
+  [[nodiscard]] Verdict judge_other_schedule_while_searching(bool newer, ClockTime now) noexcept;
+  [[nodiscard]] Verdict judge_other_session(std::uint16_t source, const Beacon& beacon, Ticks ahead) noexcept;
+  [[nodiscard]] Verdict judge_own_session(std::uint16_t source, const Beacon& beacon, Ticks ahead,
+                                          ClockTime now) noexcept;
   [[nodiscard]] Verdict request_merge() noexcept;
   void watch_place(const Beacon& beacon) noexcept;
   [[nodiscard]] bool begin_scan(std::uint32_t number, bool may_scan) noexcept;
@@ -179,14 +177,14 @@ class Coexistence {
   // Another schedule.
   std::uint32_t newer_schedule_ = 0;  // fingerprint of the newer schedule in the last beacon that had one
   std::uint32_t older_schedule_ = 0;
-  bool displaces_older_ = false;    // while searching: a network with an older schedule is near
-  ranging::ClockTime stale_until_;  // starts no session until then: a newer schedule is near
+  bool displaces_older_ = false;  // while searching: a network with an older schedule is near
+  ClockTime stale_until_;         // starts no session until then: a newer schedule is near
 
   // The session that this node has left.
   std::uint64_t avoided_ = 0;
   std::uint16_t avoided_master_ = kNobody;
   std::uint32_t avoided_at_ = 0;  // superframe of its master's last beacon
-  ranging::ClockTime avoided_until_;
+  ClockTime avoided_until_;
 };
 
 }  // namespace groma::mac

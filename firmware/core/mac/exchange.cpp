@@ -13,7 +13,7 @@ constexpr ranging::FlightTime kLongest{std::int64_t{213'140} * 256};  // 1 km
 
 // The noise of two timestamps in a short exchange looks like a clock offset: half a nanosecond over its
 // length.
-std::int32_t timestamp_tolerance_ppb(ranging::Ticks length) noexcept {
+std::int32_t timestamp_tolerance_ppb(Ticks length) noexcept {
   constexpr std::int64_t kNoise_ticks = 32;
   return static_cast<std::int32_t>(kNoise_ticks * 1'000'000'000 / length.count());
 }
@@ -21,7 +21,7 @@ std::int32_t timestamp_tolerance_ppb(ranging::Ticks length) noexcept {
 bool plausible(const Range& range, const Leg& leg) noexcept {
   const std::int32_t offset_ppb = range.clock_offset_ppb;
   if (std::abs(offset_ppb) > kClockTolerance_ppb) return false;
-  const ranging::Ticks length = range.intervals.tag_round + range.intervals.tag_reply;
+  const Ticks length = range.intervals.tag_round + range.intervals.tag_reply;
   const std::int32_t tolerance_ppb = kCarrierTolerance_ppb + timestamp_tolerance_ppb(length);
   const std::int32_t carrier_ppb = leg.quality.clock_offset_ppb.value_or(offset_ppb);
   if (std::abs(offset_ppb - carrier_ppb) > tolerance_ppb) return false;

@@ -26,13 +26,13 @@ struct Leg {
   std::uint16_t anchor = 0;
   bool answered = false;
   bool timestamp_valid = false;
-  Health health{};                // of the anchor's chip
-  ranging::ClockTime received{};  // T2
-  ranging::Ticks reply{};         // A2 - A1
+  Health health{};       // of the anchor's chip
+  ClockTime received{};  // T2
+  Ticks reply{};         // A2 - A1
   radio::LinkQuality quality{};
   enum class Closing : std::uint8_t { kNone, kStale, kHeld };
   Closing closing_state = Closing::kNone;
-  ranging::Ticks closing{};  // A3 - A2
+  Ticks closing{};  // A3 - A2
 };
 
 struct Exchange {
@@ -41,8 +41,8 @@ struct Exchange {
   std::uint8_t slot = 0;
   std::uint8_t count = 0;
   std::array<Leg, kMaxAnchors> legs{};
-  ranging::ClockTime poll_sent{};                    // T1
-  std::optional<ranging::ClockTime> closing_sent{};  // T3: transmission of the FINAL or of the next POLL
+  ClockTime poll_sent{};                    // T1
+  std::optional<ClockTime> closing_sent{};  // T3: transmission of the FINAL or of the next POLL
 };
 
 struct Range {
@@ -54,7 +54,7 @@ struct Range {
 
 // Longest time between a RESPONSE and the frame that closes its exchange: far below the 17.2 s at which the
 // anchor's interval would wrap unnoticed.
-inline constexpr ranging::Ticks kMaxClosing = ranging::Ticks::from_us(4'000'000);
+inline constexpr Ticks kMaxClosing = Ticks::from_us(4'000'000);
 
 // A range is kOk only if both clocks agree on the exchange's length to 100 ppm, their offset agrees with the
 // carrier's, where the radio measures it, to 5 ppm plus timestamp noise, and the flight time corresponds to

@@ -21,8 +21,8 @@ class Reader {
   void number(T& value, std::size_t bytes = sizeof(T)) noexcept {
     value = static_cast<T>(take(bytes));
   }
-  void number(ranging::Ticks& ticks, std::size_t bytes) noexcept {
-    ticks = ranging::Ticks(static_cast<std::int64_t>(take(bytes)));
+  void number(Ticks& ticks, std::size_t bytes) noexcept {
+    ticks = Ticks(static_cast<std::int64_t>(take(bytes)));
   }
   // One byte of fields with these widths, from bit 0 on. The bits above them must be 0.
   template <class... Fields>
@@ -87,7 +87,7 @@ class FrameWriter {
   void number(const T& value, std::size_t bytes = sizeof(T)) noexcept {
     put(static_cast<std::uint64_t>(value), bytes);
   }
-  void number(const ranging::Ticks& ticks, std::size_t bytes) noexcept {
+  void number(const Ticks& ticks, std::size_t bytes) noexcept {
     put(static_cast<std::uint64_t>(ticks.count()), bytes);
   }
   template <class... Fields>

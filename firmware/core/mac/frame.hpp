@@ -15,6 +15,9 @@
 
 namespace groma::mac {
 
+using ranging::ClockTime;
+using ranging::Ticks;
+
 inline constexpr std::uint16_t kNobody = 0;
 inline constexpr std::uint16_t kBroadcast = 0xFFFF;
 inline constexpr std::size_t kMaxAnchors = 16;  // in one POLL
@@ -53,7 +56,7 @@ struct Beacon {
   // With `shared`: a merge request, sent in the shared slot of another session, whose nodes should join this
   // one. `place` is the RMARKER's place in this session's superframe, in ticks of network time.
   bool merge_request = false;
-  ranging::Ticks place{};  // 0 to 2^40 - 1
+  Ticks place{};  // 0 to 2^40 - 1
   std::uint8_t slots = 0;
   std::array<std::uint16_t, kMaxTags> owners{};  // of each slot; kNobody: free
   std::optional<ChallengeResponse> challenge_response{};
@@ -91,11 +94,11 @@ struct Health {
 // Sent by an anchor to the tag that polled it.
 struct Response {
   std::uint16_t exchange = 0;
-  ranging::Ticks reply{};  // A2 - A1 of this exchange, known before the frame is sent; 0 to 2^32 - 1
+  Ticks reply{};  // A2 - A1 of this exchange, known before the frame is sent; 0 to 2^32 - 1
   // A3 - A2 of the previous exchange with this tag, if the anchor has all of its timestamps; 0 to 2^40 - 1.
   bool closing_valid = false;
   std::uint16_t closed_exchange = 0;
-  ranging::Ticks closing{};
+  Ticks closing{};
   Health health{};
   friend bool operator==(const Response&, const Response&) = default;
 };

@@ -7,9 +7,6 @@
 
 namespace groma::mac {
 
-using ranging::ClockTime;
-using ranging::Ticks;
-
 MasterElection::MasterElection(const Site& site, Ticks duration, Ticks guard) noexcept
     : site_(site),
       duration_(duration),

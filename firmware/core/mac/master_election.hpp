@@ -41,17 +41,17 @@ enum class Verdict : std::uint8_t {
 class MasterElection {
  public:
   // `duration`: of a superframe. `guard`: timelines that differ by less count as aligned.
-  MasterElection(const Site& site, ranging::Ticks duration, ranging::Ticks guard) noexcept;
+  MasterElection(const Site& site, Ticks duration, Ticks guard) noexcept;
 
   // Starts the search, at power-up or when the time is lost. Starts no session before `not_before`, and
   // listens for `rounds` rounds of relaying more.
-  void search(ranging::ClockTime now, ranging::ClockTime not_before, std::uint32_t rounds) noexcept;
-  void start_not_before(ranging::ClockTime time) noexcept;
+  void search(ClockTime now, ClockTime not_before, std::uint32_t rounds) noexcept;
+  void start_not_before(ClockTime time) noexcept;
   // While searching, reports a frame of this network that is not a beacon. Another node is there, so this one
   // waits longer before it leads.
-  void on_traffic(ranging::ClockTime now) noexcept;
+  void on_traffic(ClockTime now) noexcept;
   // While searching: when to start a session if no node has been heard until then; nothing: never.
-  [[nodiscard]] std::optional<ranging::ClockTime> lead_at() const noexcept;
+  [[nodiscard]] std::optional<ClockTime> lead_at() const noexcept;
   // Starts a session: leads, from superframe 0 on.
   void found() noexcept;
   // Follows the beacon's master, by the path of `source`.
@@ -63,7 +63,7 @@ class MasterElection {
   [[nodiscard]] bool is_credible(std::uint16_t source, const Beacon& beacon) const noexcept;
   // Judges a credible beacon of this session, sent by `source`. `ahead`: how far its timeline is ahead of
   // this node's. After kLeave this node has to search.
-  [[nodiscard]] Verdict judge(std::uint16_t source, const Beacon& beacon, ranging::Ticks ahead) noexcept;
+  [[nodiscard]] Verdict judge(std::uint16_t source, const Beacon& beacon, Ticks ahead) noexcept;
 
   // While not searching: superframe `number` begins. `number` increases from call to call. Returns true if
   // this node leads from now on and keeps the present time.
@@ -100,12 +100,10 @@ class MasterElection {
   // The followed session is known from one beacon only, and has not been confirmed for too long: the beacon
   // may have been forged or damaged.
   [[nodiscard]] bool orphaned_after_one_beacon(std::uint32_t number) const noexcept;
-  [[nodiscard]] bool aligned(ranging::Ticks ahead) const noexcept {
-    return ahead <= guard_ && ahead >= -guard_;
-  }
+  [[nodiscard]] bool aligned(Ticks ahead) const noexcept { return ahead <= guard_ && ahead >= -guard_; }
   // The two timelines count different superframes.
-  [[nodiscard]] bool far(ranging::Ticks ahead) const noexcept {
-    const ranging::Ticks half(duration_.count() / 2);
+  [[nodiscard]] bool far(Ticks ahead) const noexcept {
+    const Ticks half(duration_.count() / 2);
     return ahead > half || ahead < -half;
   }
 
@@ -113,11 +111,9 @@ class MasterElection {
   static constexpr std::uint32_t kPatience = 12;
 
  private:
-  [[nodiscard]] Verdict judge_misplaced(const Beacon& beacon, ranging::Ticks ahead) noexcept;
-  [[nodiscard]] Verdict judge_as_master(std::uint16_t source, const Beacon& beacon,
-                                        ranging::Ticks ahead) noexcept;
-  [[nodiscard]] Verdict judge_as_follower(std::uint16_t source, const Beacon& beacon,
-                                          ranging::Ticks ahead) noexcept;
+  [[nodiscard]] Verdict judge_misplaced(const Beacon& beacon, Ticks ahead) noexcept;
+  [[nodiscard]] Verdict judge_as_master(std::uint16_t source, const Beacon& beacon, Ticks ahead) noexcept;
+  [[nodiscard]] Verdict judge_as_follower(std::uint16_t source, const Beacon& beacon, Ticks ahead) noexcept;
   [[nodiscard]] Verdict choose_parent(std::uint16_t source, const Beacon& beacon,
                                       std::int32_t newer) noexcept;
   void lead() noexcept;
@@ -125,15 +121,15 @@ class MasterElection {
   [[nodiscard]] std::uint32_t patience() const noexcept { return patience_at(hop_); }
   [[nodiscard]] bool is_news(const Beacon& beacon) const noexcept;
   [[nodiscard]] std::uint32_t better_ranks_alive(std::uint32_t number) const noexcept;
-  [[nodiscard]] ranging::Ticks listening_time() const noexcept;
+  [[nodiscard]] Ticks listening_time() const noexcept;
   // There is an unused session id for found().
   [[nodiscard]] bool has_session_id() const noexcept;
 
   static constexpr std::size_t kMaxBeaconers = 8;
 
   const Site& site_;
-  ranging::Ticks duration_;
-  ranging::Ticks guard_;
+  Ticks duration_;
+  Ticks guard_;
   std::optional<std::size_t> rank_;
   std::uint32_t beaconers_;
 
@@ -154,8 +150,8 @@ class MasterElection {
   std::array<std::optional<std::uint32_t>, kMaxBeaconers> heard_{};
   std::size_t competitor_ = 0;  // rank of a competing, worse master of this session; 0: none
   std::uint32_t competitor_until_ = 0;
-  ranging::ClockTime search_start_;
-  ranging::ClockTime lead_at_;
+  ClockTime search_start_;
+  ClockTime lead_at_;
 };
 
 }  // namespace groma::mac

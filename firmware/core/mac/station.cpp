@@ -5,9 +5,6 @@
 
 namespace groma::mac {
 
-using ranging::ClockTime;
-using ranging::Ticks;
-
 Station::Station(const Site& site, groma_Counters& counters) noexcept
     : site_(site),
       superframe_(*site.schedule, site.phy, !site.network_key.empty()),

@@ -36,15 +36,15 @@ class Station {
   void attach(ControlChannel& channel) noexcept;
 
   // Starts the search.
-  [[nodiscard]] Step start(ranging::ClockTime now) noexcept;
-  [[nodiscard]] Step on_transmitted(ranging::ClockTime timestamp) noexcept;
-  [[nodiscard]] Step on_late(ranging::ClockTime now) noexcept;
+  [[nodiscard]] Step start(ClockTime now) noexcept;
+  [[nodiscard]] Step on_transmitted(ClockTime timestamp) noexcept;
+  [[nodiscard]] Step on_late(ClockTime now) noexcept;
   [[nodiscard]] Step on_received(const Reception& reception) noexcept;
-  [[nodiscard]] Step on_timeout(ranging::ClockTime now) noexcept;
-  [[nodiscard]] Step on_error(ranging::ClockTime now) noexcept { return on_timeout(now); }
+  [[nodiscard]] Step on_timeout(ClockTime now) noexcept;
+  [[nodiscard]] Step on_error(ClockTime now) noexcept { return on_timeout(now); }
   // Call after the radio was stopped and restarted: continues with the next action, with the time of the
   // clock filter. A master that was away for a while listens before it leads again.
-  [[nodiscard]] Step resume(ranging::ClockTime now) noexcept;
+  [[nodiscard]] Step resume(ClockTime now) noexcept;
   // Call before resume() if this node's clock has continued by another one, with an error of some us.
   void on_clock_restart() noexcept;
   // Run in the background of other work.
@@ -65,7 +65,7 @@ class Station {
   [[nodiscard]] bool fresh() const noexcept { return replay_guard_.fresh(); }
   // Network time when this node's clock shows `local`, now or recently: the superframe number times the
   // duration, plus the time into the superframe, in ticks of network time. Nothing while searching.
-  [[nodiscard]] std::optional<ranging::Ticks> network_time(ranging::ClockTime local) const noexcept {
+  [[nodiscard]] std::optional<Ticks> network_time(ClockTime local) const noexcept {
     if (sync_.state() == SyncState::kSearching) return std::nullopt;
     return sync_.network_time(local);
   }
@@ -73,12 +73,11 @@ class Station {
   // Listens in a slot of this kind for a frame of up to `bytes` whose RMARKER is due at `due`: hunts for its
   // preamble from guard plus `slack` before to guard plus `slack` after. The receiver starts earlier by
   // Phy::receiver_start().
-  [[nodiscard]] Action listen(SlotKind slot, ranging::ClockTime due, std::size_t bytes,
-                              ranging::Ticks slack) const noexcept;
+  [[nodiscard]] Action listen(SlotKind slot, ClockTime due, std::size_t bytes, Ticks slack) const noexcept;
 
  protected:
   // Time that a node needs between two actions.
-  static constexpr ranging::Ticks kToGetReady = ranging::Ticks::from_us(300);
+  static constexpr Ticks kToGetReady = Ticks::from_us(300);
 
   // An accepted frame. `unverified`: a beacon of another timeline, which may be a replay although its MIC is
   // valid.
@@ -94,22 +93,22 @@ class Station {
 
   // The next action in the tag slots of superframe_number(), with its preamble after `now`. Nothing: they are
   // over, and end_superframe() was called.
-  [[nodiscard]] virtual std::optional<Action> slot_action(ranging::ClockTime now) noexcept = 0;
+  [[nodiscard]] virtual std::optional<Action> slot_action(ClockTime now) noexcept = 0;
   // Where the present action's frame is sent or heard.
   [[nodiscard]] virtual Place slot_place() const noexcept = 0;
   // Events of the last action in the tag slots.
-  [[nodiscard]] virtual Step slot_transmitted(ranging::ClockTime timestamp) noexcept = 0;
+  [[nodiscard]] virtual Step slot_transmitted(ClockTime timestamp) noexcept = 0;
   [[nodiscard]] virtual Step slot_received(const Reception& reception) noexcept = 0;
-  [[nodiscard]] virtual Step slot_timeout(ranging::ClockTime now) noexcept { return plan(now); }
+  [[nodiscard]] virtual Step slot_timeout(ClockTime now) noexcept { return plan(now); }
   // It was late, or the radio was stopped.
-  [[nodiscard]] virtual Step slot_abandoned(ranging::ClockTime now) noexcept { return plan(now); }
+  [[nodiscard]] virtual Step slot_abandoned(ClockTime now) noexcept { return plan(now); }
   // No exchange may span this instant.
   virtual void forget_exchanges() noexcept = 0;
 
   // ---- for the derived class -----------------------------------------------------------------------------
 
   // The next action, with its preamble after `now`.
-  [[nodiscard]] Step plan(ranging::ClockTime now) noexcept;
+  [[nodiscard]] Step plan(ClockTime now) noexcept;
   [[nodiscard]] Step act(const Action& action) noexcept {
     action_ = action;
     return {action, nullptr};
@@ -141,15 +140,15 @@ class Station {
                                                bool unused_slot = false) noexcept;
   // `place`: where the frame is sent. finish_signing() adds the MIC; before a replay has been excluded, to a
   // challenge alone.
-  [[nodiscard]] Action transmit(ranging::ClockTime timestamp, std::uint16_t destination, const Body& body,
-                                Place place, const MergeTarget* merge_target = nullptr) noexcept;
+  [[nodiscard]] Action transmit(ClockTime timestamp, std::uint16_t destination, const Body& body, Place place,
+                                const MergeTarget* merge_target = nullptr) noexcept;
   // The last timestamp on the transmit grid that is not after `latest`.
-  [[nodiscard]] ranging::ClockTime timestamp_not_after(ranging::ClockTime latest) const noexcept {
+  [[nodiscard]] ClockTime timestamp_not_after(ClockTime latest) const noexcept {
     return ranging::transmit_timestamp_not_after(latest, site_.transmit_antenna_delay,
                                                  superframe_.phy().transmit_grid());
   }
   // The remainder of the present listening, which an unusable frame interrupted; nothing: it is over.
-  [[nodiscard]] std::optional<Action> listen_on(ranging::ClockTime now) const noexcept;
+  [[nodiscard]] std::optional<Action> listen_on(ClockTime now) const noexcept;
 
   // Frames carry MICs.
   [[nodiscard]] bool keyed() const noexcept { return authenticator_.on(); }
@@ -163,11 +162,11 @@ class Station {
   }
   void prepare_control() noexcept;
 
-  [[nodiscard]] ranging::ClockTime poll_due(std::uint32_t superframe, std::size_t slot) const noexcept {
+  [[nodiscard]] ClockTime poll_due(std::uint32_t superframe, std::size_t slot) const noexcept {
     return sync_.start(superframe) + superframe_.poll(slot);
   }
   // The preamble of a frame due at `due` is still to come.
-  [[nodiscard]] bool ahead(ranging::ClockTime due, ranging::ClockTime now) const noexcept {
+  [[nodiscard]] bool ahead(ClockTime due, ClockTime now) const noexcept {
     return due - superframe_.phy().before_rmarker() > now;
   }
   // This node may send in superframe `number`: it knows the time well enough, and the time is not that of a
@@ -192,20 +191,20 @@ class Station {
   }
 
   // station.cpp: the sequence of a superframe.
-  void begin_search(ranging::ClockTime now) noexcept;
+  void begin_search(ClockTime now) noexcept;
   // Returns false while there is no session to follow or start.
-  [[nodiscard]] bool start_session_if_due(ranging::ClockTime now) noexcept;
+  [[nodiscard]] bool start_session_if_due(ClockTime now) noexcept;
   // The next action outside of the tag slots; nothing: they are next.
-  [[nodiscard]] std::optional<Action> control(ranging::ClockTime now) noexcept;
+  [[nodiscard]] std::optional<Action> control(ClockTime now) noexcept;
   [[nodiscard]] std::optional<Action> control_received(const Reception& reception) noexcept;
   void control_timeout() noexcept;
-  [[nodiscard]] std::optional<Action> beacon_slot(ranging::ClockTime now) noexcept;
-  [[nodiscard]] std::optional<Action> scan(ranging::ClockTime now, std::uint32_t superframes = 1) noexcept;
-  [[nodiscard]] std::optional<Action> shared_slot(ranging::ClockTime now) noexcept;
+  [[nodiscard]] std::optional<Action> beacon_slot(ClockTime now) noexcept;
+  [[nodiscard]] std::optional<Action> scan(ClockTime now, std::uint32_t superframes = 1) noexcept;
+  [[nodiscard]] std::optional<Action> shared_slot(ClockTime now) noexcept;
   // A JOIN or a DATA for the shared slot, of the first channel that has one.
-  [[nodiscard]] std::optional<Action> from_channels(ranging::ClockTime timestamp, bool own_turn) noexcept;
-  [[nodiscard]] Beacon make_beacon(ranging::Ticks tx_offset, bool shared) noexcept;
-  [[nodiscard]] Action send_beacon(ranging::ClockTime due, bool shared) noexcept;
+  [[nodiscard]] std::optional<Action> from_channels(ClockTime timestamp, bool own_turn) noexcept;
+  [[nodiscard]] Beacon make_beacon(Ticks tx_offset, bool shared) noexcept;
+  [[nodiscard]] Action send_beacon(ClockTime due, bool shared) noexcept;
   void release_sender(bool sent) noexcept;
   void miss() noexcept;
   // Of the present beacon slot or shared slot.
@@ -214,18 +213,18 @@ class Station {
   }
 
   // station.cpp: merge requests.
-  [[nodiscard]] std::optional<Action> request_in_turn(ranging::ClockTime now) noexcept;
+  [[nodiscard]] std::optional<Action> request_in_turn(ClockTime now) noexcept;
   // A shared slot of the others in which this node may send a merge request begins between these instants.
-  [[nodiscard]] bool requests_within(ranging::ClockTime from, ranging::ClockTime to) const noexcept;
-  [[nodiscard]] bool requests_beside(ranging::ClockTime due) const noexcept;
+  [[nodiscard]] bool requests_within(ClockTime from, ClockTime to) const noexcept;
+  [[nodiscard]] bool requests_beside(ClockTime due) const noexcept;
   void next_of_others() noexcept;
-  [[nodiscard]] Action merge_request(ranging::ClockTime timestamp) noexcept;
+  [[nodiscard]] Action merge_request(ClockTime timestamp) noexcept;
   void send_merge_requests(std::uint32_t rounds, bool only_requester_silent) noexcept;
 
   // station_frames.cpp. Returns true if the place in the timeline changed or was lost.
   bool take_beacon(const Accepted& frame, const Beacon& beacon, const Reception& reception) noexcept;
   // Of a session that has to join this one or fall silent. Returns as take_beacon().
-  bool request_merge(const Beacon& beacon, ranging::ClockTime heard, bool unverified) noexcept;
+  bool request_merge(const Beacon& beacon, ClockTime heard, bool unverified) noexcept;
   bool take_time(const BeaconReception& timestamp, std::uint64_t session, Verdict verdict,
                  bool persuasive) noexcept;
   void take_content(const Frame& frame, const Beacon& beacon, bool adopted) noexcept;
@@ -238,13 +237,13 @@ class Station {
   [[nodiscard]] bool authenticate(Accepted& frame, const Beacon& beacon, const Reception& reception) noexcept;
   // This node is synchronized, and not with a recording.
   [[nodiscard]] bool knows_time() const noexcept { return sync_.state() != SyncState::kSearching && fresh(); }
-  [[nodiscard]] Trust trust_in(const Beacon& beacon, ranging::ClockTime heard) const noexcept;
+  [[nodiscard]] Trust trust_in(const Beacon& beacon, ClockTime heard) const noexcept;
 
-  [[nodiscard]] ranging::Ticks place_in_superframe(const Beacon& beacon) const noexcept;
+  [[nodiscard]] Ticks place_in_superframe(const Beacon& beacon) const noexcept;
   // How far the beacon's timeline is ahead of this node's.
-  [[nodiscard]] ranging::Ticks ahead_by(const Beacon& beacon, ranging::ClockTime heard) const noexcept;
+  [[nodiscard]] Ticks ahead_by(const Beacon& beacon, ClockTime heard) const noexcept;
   // The superframe at `t` on this node's timeline.
-  [[nodiscard]] std::uint32_t superframe_at(ranging::ClockTime t) const noexcept {
+  [[nodiscard]] std::uint32_t superframe_at(ClockTime t) const noexcept {
     return static_cast<std::uint32_t>(sync_.network_time(t).count() / superframe_.duration().count());
   }
   [[nodiscard]] bool timed(std::uint32_t number) const noexcept {
@@ -270,7 +269,7 @@ class Station {
   bool own_beacon_ = false;  // being sent
   // Another session, the target of merge requests: its next shared slot, and the number of its superframe.
   struct Others {
-    ranging::ClockTime shared;
+    ClockTime shared;
     MergeTarget merge_target{};
     std::uint32_t left = 0;  // how many of its shared slots this session's nodes stay silent for
   };

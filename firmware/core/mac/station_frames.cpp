@@ -7,9 +7,6 @@
 namespace groma::mac {
 namespace {
 
-using ranging::ClockTime;
-using ranging::Ticks;
-
 SlotKind slot_kind(const Body& body, Place place) noexcept {
   if (place.slot == Place::kBeacon) return SlotKind::kBeacon;
   if (place.slot == Place::kShared) return SlotKind::kShared;

@@ -25,7 +25,7 @@
 namespace groma::mac {
 
 struct Reception {
-  ranging::ClockTime timestamp{};
+  ClockTime timestamp{};
   bool timestamp_valid = false;
   std::span<const std::uint8_t> frame{};  // without its frame check
   radio::LinkQuality quality{};
@@ -43,10 +43,10 @@ struct Action {
   };
   Kind kind = Kind::kNone;
   SlotKind slot = SlotKind::kNone;
-  ranging::ClockTime at{};
-  ranging::ClockTime until{};
+  ClockTime at{};
+  ClockTime until{};
   // The latest instant for a preamble; the listening may end then.
-  std::optional<ranging::ClockTime> preamble_until{};
+  std::optional<ClockTime> preamble_until{};
   // Complete after finish_signing(); valid until the machine's next event.
   std::span<const std::uint8_t> frame{};
 };

@@ -12,7 +12,6 @@ namespace {
 
 using radio::Phy;
 using ranging::round_up_to_grid;
-using ranging::Ticks;
 
 constexpr std::uint16_t kLargestId = 65534;
 // Processing times that the network grants each node, whatever its processor: they are part of the protocol.

@@ -76,18 +76,18 @@ class Superframe {
   // fault_of(`schedule`) is empty. `secured`: each frame carries a MIC.
   Superframe(const groma_Schedule& schedule, const radio::Phy& phy, bool secured = false) noexcept;
 
-  [[nodiscard]] ranging::Ticks duration() const noexcept {
+  [[nodiscard]] Ticks duration() const noexcept {
     return slots_start_ + static_cast<std::int64_t>(slot_count_) * tag_slot_ + end_time_;
   }
   [[nodiscard]] std::size_t slot_count() const noexcept { return slot_count_; }
-  [[nodiscard]] ranging::Ticks tag_slot() const noexcept { return tag_slot_; }
+  [[nodiscard]] Ticks tag_slot() const noexcept { return tag_slot_; }
   // Most anchors that a POLL may name.
   [[nodiscard]] std::size_t responses() const noexcept { return responses_; }
 
   // From the superframe's start to the RMARKER.
-  [[nodiscard]] ranging::Ticks beacon() const noexcept { return first_frame_; }
-  [[nodiscard]] ranging::Ticks shared() const noexcept { return control_slot_ + first_frame_; }
-  [[nodiscard]] ranging::Ticks poll(std::size_t slot) const noexcept {
+  [[nodiscard]] Ticks beacon() const noexcept { return first_frame_; }
+  [[nodiscard]] Ticks shared() const noexcept { return control_slot_ + first_frame_; }
+  [[nodiscard]] Ticks poll(std::size_t slot) const noexcept {
     return slots_start_ + static_cast<std::int64_t>(slot) * tag_slot_ + first_frame_;
   }
 
@@ -98,11 +98,11 @@ class Superframe {
 
   // From the RMARKER of a POLL that names `count` anchors to that of the RESPONSE at `index`, or of the
   // FINAL.
-  [[nodiscard]] ranging::Ticks response(std::size_t index, std::size_t count) const noexcept;
-  [[nodiscard]] ranging::Ticks final(std::size_t count) const noexcept;
+  [[nodiscard]] Ticks response(std::size_t index, std::size_t count) const noexcept;
+  [[nodiscard]] Ticks final(std::size_t count) const noexcept;
 
   [[nodiscard]] bool has_final() const noexcept { return has_final_; }
-  [[nodiscard]] ranging::Ticks guard() const noexcept { return guard_; }
+  [[nodiscard]] Ticks guard() const noexcept { return guard_; }
   [[nodiscard]] const radio::Phy& phy() const noexcept { return phy_; }
   // Size on the air of a frame of `bytes` bytes without MIC.
   [[nodiscard]] std::size_t on_air(std::size_t bytes) const noexcept { return bytes + mic_bytes_; }
@@ -117,15 +117,15 @@ class Superframe {
   std::size_t responses_;
   std::uint32_t backups_;
   std::size_t control_bytes_;
-  ranging::Ticks guard_;
-  ranging::Ticks turnaround_;
-  ranging::Ticks gap_;
-  ranging::Ticks first_frame_;       // from a slot's start to the RMARKER of its first frame
-  ranging::Ticks response_spacing_;  // from RMARKER to RMARKER
-  ranging::Ticks control_slot_;      // length of the beacon slot
-  ranging::Ticks slots_start_;
-  ranging::Ticks tag_slot_;
-  ranging::Ticks end_time_{};  // after the last slot
+  Ticks guard_;
+  Ticks turnaround_;
+  Ticks gap_;
+  Ticks first_frame_;       // from a slot's start to the RMARKER of its first frame
+  Ticks response_spacing_;  // from RMARKER to RMARKER
+  Ticks control_slot_;      // length of the beacon slot
+  Ticks slots_start_;
+  Ticks tag_slot_;
+  Ticks end_time_{};  // after the last slot
 };
 
 [[nodiscard]] inline std::span<const std::uint16_t> tags_of(const groma_Schedule& schedule) noexcept {

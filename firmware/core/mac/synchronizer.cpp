@@ -5,9 +5,6 @@
 namespace groma::mac {
 namespace {
 
-using ranging::ClockTime;
-using ranging::Ticks;
-
 // Flight times of two senders differ by about 50 m, and a relay's time by as much: 0.2 us.
 constexpr float kPathSigma_ticks = 12'800.0F;
 // Difference to another master's time, of a master that has led by itself for long.

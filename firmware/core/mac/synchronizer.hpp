@@ -19,8 +19,8 @@ enum class SyncState : std::uint8_t {
 // A received beacon.
 struct BeaconReception {
   std::uint32_t superframe = 0;
-  ranging::Ticks place{};  // of its RMARKER from the superframe's start, in network time
-  ranging::ClockTime heard{};
+  Ticks place{};  // of its RMARKER from the superframe's start, in network time
+  ClockTime heard{};
   // The sender's clock against this node's, from the carrier; nothing: the radio does not measure it.
   std::optional<std::int32_t> offset_ppb{};
   // Of the sender's knowledge of the network time.
@@ -34,7 +34,7 @@ class Synchronizer {
   explicit Synchronizer(const Superframe& superframe) noexcept : superframe_(superframe) {}
 
   // This node starts a session: superframe 0 starts at `start`.
-  void found(ranging::ClockTime start) noexcept;
+  void found(ClockTime start) noexcept;
   // This node becomes the master, or stops being it; the time continues.
   void lead() noexcept;
   void follow() noexcept;
@@ -62,14 +62,14 @@ class Synchronizer {
 
   // Not while searching: the start of superframe `number` on this node's clock, and its uncertainty (5
   // sigma).
-  [[nodiscard]] ranging::ClockTime start(std::uint32_t number) const noexcept;
-  [[nodiscard]] ranging::Ticks margin(std::uint32_t number) const noexcept;
+  [[nodiscard]] ClockTime start(std::uint32_t number) const noexcept;
+  [[nodiscard]] Ticks margin(std::uint32_t number) const noexcept;
   // The network time when this node's clock shows `local`, since the start of superframe 0. Continuous over a
   // change of master.
-  [[nodiscard]] ranging::Ticks network_time(ranging::ClockTime local) const noexcept;
+  [[nodiscard]] Ticks network_time(ClockTime local) const noexcept;
 
  private:
-  [[nodiscard]] ranging::Ticks master_time(std::uint32_t number) const noexcept;
+  [[nodiscard]] Ticks master_time(std::uint32_t number) const noexcept;
   void enter(SyncState state) noexcept;
 
   const Superframe& superframe_;

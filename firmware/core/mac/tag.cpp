@@ -6,9 +6,6 @@
 
 namespace groma::mac {
 
-using ranging::ClockTime;
-using ranging::Ticks;
-
 Tag::Tag(const Site& site, groma_Counters& counters) noexcept
     : Station(site, counters), membership_(site.id, *site.schedule, slots(), site.lender) {
   attach(membership_);

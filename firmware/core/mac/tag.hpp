@@ -36,19 +36,19 @@ class Tag final : public Station {
  private:
   enum class Phase : std::uint8_t { kPoll, kResponses, kFinal };  // of the slot
 
-  [[nodiscard]] std::optional<Action> slot_action(ranging::ClockTime now) noexcept override;
+  [[nodiscard]] std::optional<Action> slot_action(ClockTime now) noexcept override;
   [[nodiscard]] Place slot_place() const noexcept override { return place_of(current()); }
-  [[nodiscard]] Step slot_transmitted(ranging::ClockTime timestamp) noexcept override;
+  [[nodiscard]] Step slot_transmitted(ClockTime timestamp) noexcept override;
   [[nodiscard]] Step slot_received(const Reception& reception) noexcept override;
-  [[nodiscard]] Step slot_timeout(ranging::ClockTime now) noexcept override;
-  [[nodiscard]] Step slot_abandoned(ranging::ClockTime now) noexcept override;
+  [[nodiscard]] Step slot_timeout(ClockTime now) noexcept override;
+  [[nodiscard]] Step slot_abandoned(ClockTime now) noexcept override;
   void forget_exchanges() noexcept override;
 
   [[nodiscard]] bool has_lent() const noexcept {
     return site().lent_until_us != nullptr && site().lent_until_us->has_value();
   }
   Action poll(std::uint32_t superframe, std::size_t slot) noexcept;
-  [[nodiscard]] ranging::ClockTime response_due(std::size_t index) const noexcept {
+  [[nodiscard]] ClockTime response_due(std::size_t index) const noexcept {
     return current().poll_sent + superframe().response(index, current().count);
   }
   [[nodiscard]] Action response_window(std::size_t index) const noexcept;
@@ -56,8 +56,8 @@ class Tag final : public Station {
   // The anchor's leg in the previous exchange; null: the anchor was not polled in it.
   [[nodiscard]] Leg* previous_leg(std::uint16_t anchor) noexcept;
   void watch_answers() noexcept;
-  Step next_window(ranging::ClockTime now) noexcept;
-  Step finish(ranging::ClockTime now) noexcept;
+  Step next_window(ClockTime now) noexcept;
+  Step finish(ClockTime now) noexcept;
 
   [[nodiscard]] Exchange& current() noexcept { return exchanges_[current_]; }
   [[nodiscard]] const Exchange& current() const noexcept { return exchanges_[current_]; }
