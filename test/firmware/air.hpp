@@ -18,6 +18,7 @@
 #include "firmware/core/mac/tag.hpp"
 #include "firmware/sim/aes.hpp"
 #include "test/firmware/other_radio.hpp"
+#include "test/support/frames.hpp"
 #include "test/support/nonce_witness.hpp"
 
 namespace groma::testing {

@@ -13,6 +13,8 @@
 #include <string>
 #include <vector>
 
+#include "test/support/frames.hpp"
+
 namespace groma::node {
 namespace {
 

@@ -12,6 +12,7 @@
 #include "firmware/core/dw1000/phy.hpp"
 #include "firmware/core/mac/replay_guard.hpp"
 #include "firmware/sim/aes.hpp"
+#include "test/support/frames.hpp"
 
 namespace groma::mac {
 namespace {

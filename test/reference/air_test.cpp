@@ -30,6 +30,7 @@
 #include "firmware/sim/frame_check.hpp"
 #include "test/reference/formulas.hpp"
 #include "test/reference/page.hpp"
+#include "test/support/frames.hpp"
 
 namespace groma::mac {
 namespace {

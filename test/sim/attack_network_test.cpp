@@ -13,6 +13,7 @@
 #include "firmware/sim/dw1000_air_time.hpp"
 #include "firmware/sim/transmitter.hpp"
 #include "test/sim/site_bench.hpp"
+#include "test/support/frames.hpp"
 
 namespace groma::sim {
 namespace {

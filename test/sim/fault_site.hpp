@@ -28,6 +28,7 @@
 #include "firmware/sim/native_node.hpp"
 #include "firmware/sim/network.hpp"
 #include "test/sim/site_bench.hpp"
+#include "test/support/frames.hpp"
 
 namespace groma::sim {
 

@@ -10,6 +10,7 @@
 #include "firmware/core/mac/frame.hpp"
 #include "firmware/core/node/config.hpp"
 #include "test/sim/reach_bench.hpp"
+#include "test/support/frames.hpp"
 
 namespace groma::sim {
 namespace {

@@ -7,6 +7,7 @@
 
 #include "firmware/core/mac/frame.hpp"
 #include "firmware/core/ranging/device_time.hpp"
+#include "test/support/frames.hpp"
 
 namespace groma::mac {
 

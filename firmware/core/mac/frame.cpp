@@ -10,45 +10,56 @@ namespace {
 // Data frame, PAN id compressed, short addresses (IEEE 802.15.4-2011, 5.2.1.1).
 constexpr std::uint16_t kFrameControl = 0x8841;
 
-// Reads the fields of transfer().
-class Reader {
+// The fields of a frame, in their order on the air: reads or writes each number little-endian.
+template <bool kReads>
+class Fields {
  public:
-  static constexpr bool kReads = true;
+  static constexpr bool kReading = kReads;
+  using Byte = std::conditional_t<kReads, const std::uint8_t, std::uint8_t>;
 
-  explicit Reader(std::span<const std::uint8_t> bytes) noexcept : rest_(bytes) {}
+  explicit Fields(std::span<Byte> bytes) noexcept : rest_(bytes) {}
 
   template <class T>
   void number(T& value, std::size_t bytes = sizeof(T)) noexcept {
-    value = static_cast<T>(take(bytes));
+    auto word = static_cast<std::uint64_t>(value);
+    pass(word, bytes);
+    if constexpr (kReads) value = static_cast<T>(word);
   }
-  void number(Ticks& ticks, std::size_t bytes) noexcept {
-    ticks = Ticks(static_cast<std::int64_t>(take(bytes)));
+  void ticks(auto& value, std::size_t bytes) noexcept {
+    std::int64_t count = value.count();
+    number(count, bytes);
+    if constexpr (kReads) value = Ticks(count);
   }
   // One byte of fields with these widths, from bit 0 on. The bits above them must be 0.
-  template <class... Fields>
-  void bits(const std::array<unsigned, sizeof...(Fields)>& widths, Fields&... fields) noexcept {
-    auto byte = static_cast<unsigned>(take(1));
+  template <class... T>
+  void bits(const std::array<unsigned, sizeof...(T)>& widths, T&... fields) noexcept {
+    unsigned byte = 0;
+    if constexpr (kReads) number(byte, 1);
+    unsigned at = 0;
     std::size_t i = 0;
-    const auto cut = [&](auto& field) {
-      field = static_cast<std::remove_reference_t<decltype(field)>>(byte & ((1U << widths[i]) - 1U));
-      byte >>= widths[i++];
+    const auto field = [&](auto& value) {
+      const unsigned mask = (1U << widths[i]) - 1U;
+      if constexpr (kReads) {
+        value = static_cast<std::remove_reference_t<decltype(value)>>(byte >> at & mask);
+      } else {
+        byte |= (value & mask) << at;
+      }
+      at += widths[i++];
     };
-    (cut(fields), ...);
-    require(byte == 0);
+    (field(fields), ...);
+    require(byte >> at == 0);
+    if constexpr (!kReads) number(byte, 1);
   }
-  template <std::size_t kMost>
-  void list(std::uint8_t& count, std::array<std::uint16_t, kMost>& ids) noexcept {
+  void list(auto& count, auto& ids) noexcept {
     number(count);
-    require(count <= kMost);
+    require(count <= ids.size());
     for (std::size_t i = 0; good_ && i < count; ++i) number(ids[i]);
   }
-  template <std::size_t kMost>
-  void rest(std::uint8_t& size, std::array<std::uint8_t, kMost>& bytes) noexcept {
-    require(rest_.size() <= kMost);
-    if (!good_) return;
-    size = static_cast<std::uint8_t>(rest_.size());
-    std::copy(rest_.begin(), rest_.end(), bytes.begin());
-    rest_ = {};
+  // All bytes that are left.
+  void rest(auto& size, auto& bytes) noexcept {
+    if constexpr (kReads) size = static_cast<std::uint8_t>(rest_.size());
+    require(size <= bytes.size());
+    for (std::size_t i = 0; good_ && i < size; ++i) number(bytes[i]);
   }
   void require(bool holds) noexcept { good_ = good_ && holds; }
 
@@ -56,81 +67,34 @@ class Reader {
     require(rest_.size() >= count);
     if (good_) rest_ = rest_.first(rest_.size() - count);
   }
+  // False if the bytes have run out or a field had an invalid value.
   [[nodiscard]] bool good() const noexcept { return good_; }
-  [[nodiscard]] bool at_end() const noexcept { return good_ && rest_.empty(); }
+  [[nodiscard]] std::size_t left() const noexcept { return rest_.size(); }
 
  private:
-  // Returns 0 and clears good() if the bytes have run out.
-  std::uint64_t take(std::size_t count) noexcept {
-    require(rest_.size() >= count);
-    if (!good_) return 0;
-    std::uint64_t value = 0;
-    for (std::size_t i = 0; i < count; ++i) value |= std::uint64_t{rest_[i]} << (8 * i);
-    rest_ = rest_.subspan(count);
-    return value;
+  void pass(std::uint64_t& word, std::size_t bytes) noexcept {
+    require(rest_.size() >= bytes);
+    if (!good_) return;
+    if constexpr (kReads) word = 0;
+    for (std::size_t i = 0; i < bytes; ++i) {
+      if constexpr (kReads) {
+        word |= std::uint64_t{rest_[i]} << (8 * i);
+      } else {
+        rest_[i] = static_cast<std::uint8_t>(word >> (8 * i));
+      }
+    }
+    rest_ = rest_.subspan(bytes);
   }
 
-  std::span<const std::uint8_t> rest_;
+  std::span<Byte> rest_;
   bool good_ = true;
 };
 
-}  // namespace
-
-// Writes the fields of transfer().
-class FrameWriter {
- public:
-  static constexpr bool kReads = false;
-
-  explicit FrameWriter(FrameBytes& out) noexcept : out_(out) { out_.size_ = 0; }
-
-  template <class T>
-  void number(const T& value, std::size_t bytes = sizeof(T)) noexcept {
-    put(static_cast<std::uint64_t>(value), bytes);
-  }
-  void number(const Ticks& ticks, std::size_t bytes) noexcept {
-    put(static_cast<std::uint64_t>(ticks.count()), bytes);
-  }
-  template <class... Fields>
-  void bits(const std::array<unsigned, sizeof...(Fields)>& widths, const Fields&... fields) noexcept {
-    unsigned byte = 0;
-    unsigned at = 0;
-    std::size_t i = 0;
-    const auto join = [&](unsigned field) {
-      byte |= (field & ((1U << widths[i]) - 1U)) << at;
-      at += widths[i++];
-    };
-    (join(fields), ...);
-    put(byte, 1);
-  }
-  template <std::size_t kMost>
-  void list(std::uint8_t count, const std::array<std::uint16_t, kMost>& ids) noexcept {
-    const std::size_t most = std::min<std::size_t>(count, kMost);
-    put(most, 1);
-    for (std::size_t i = 0; i < most; ++i) put(ids[i], 2);
-  }
-  template <std::size_t kMost>
-  void rest(std::uint8_t size, const std::array<std::uint8_t, kMost>& bytes) noexcept {
-    for (std::size_t i = 0; i < std::min<std::size_t>(size, kMost); ++i) put(bytes[i], 1);
-  }
-  void require(bool /*holds*/) noexcept {}
-
- private:
-  void put(std::uint64_t value, std::size_t count) noexcept {
-    for (std::size_t i = 0; i < count; ++i) {
-      out_.data_[out_.size_++] = static_cast<std::uint8_t>(value >> (8 * i));
-    }
-  }
-
-  FrameBytes& out_;
-};
-
-namespace {
-
-// The fields of each frame, in their order on the air: transfer() reads them or writes them.
+// The fields of each frame: transfer() reads them or writes them.
 template <class T, class U>
 concept Is = std::same_as<std::remove_const_t<T>, U>;
 
-void transfer(auto& io, Is<Frame> auto& frame, std::uint16_t& frame_control, std::uint8_t& type) noexcept {
+void transfer(auto& io, Is<Frame> auto& frame, auto& frame_control, auto& type) noexcept {
   io.number(frame_control);
   io.number(frame.sequence);
   io.number(frame.network);
@@ -151,14 +115,14 @@ void transfer(auto& io, Is<Beacon> auto& beacon) noexcept {
   io.number(beacon.tx_offset_dtu);
   io.bits({1, 1, 1, 1, 1}, beacon.dissolving, responds, beacon.shared, beacon.merge_request, beacon.quiet);
   io.list(beacon.slots, beacon.owners);
-  if constexpr (std::remove_reference_t<decltype(io)>::kReads) {
+  if constexpr (std::remove_reference_t<decltype(io)>::kReading) {
     if (responds) beacon.challenge_response.emplace();
   }
   if (responds) {
     io.number(beacon.challenge_response->id);
     io.number(beacon.challenge_response->nonce);
   }
-  if (beacon.merge_request) io.number(beacon.place, 5);
+  if (beacon.merge_request) io.ticks(beacon.place, 5);
 }
 
 void transfer(auto& io, Is<Poll> auto& poll) noexcept {
@@ -170,10 +134,10 @@ void transfer(auto& io, Is<Poll> auto& poll) noexcept {
 
 void transfer(auto& io, Is<Response> auto& response) noexcept {
   io.number(response.exchange);
-  io.number(response.reply, 4);
+  io.ticks(response.reply, 4);
   io.bits({1}, response.closing_valid);
   io.number(response.closed_exchange);
-  io.number(response.closing, 5);
+  io.ticks(response.closing, 5);
   io.number(response.health.temperature_c);
   io.number(response.health.supply_64ths_v);
 }
@@ -194,33 +158,34 @@ void transfer(auto& io, Is<Data> auto& data) noexcept {
   io.number(data.message);
   io.number(data.fragment);
   io.number(data.fragments);
-  io.require(data.fragment < data.fragments);
+  io.require(!io.kReading || data.fragment < data.fragments);
   io.bits({1, 1, 1, 2, 3}, data.acknowledgement, data.to_host, data.asks, data.hops_left, data.round);
   io.rest(data.size, data.payload);
 }
 
-// Reads in place: a body is large, and is read between two frames.
+// The body of this kind, if it is the one at `index` of Body. Reads in place: a body is large, and is read
+// between two frames.
 template <class T>
-bool read_if(FrameType of, std::uint8_t type, Reader& in, Body& body) noexcept {
-  if (type != static_cast<std::uint8_t>(of)) return false;
-  body = Body(T{});  // assigning a T could throw, as far as the compiler knows
-  T* const place = std::get_if<T>(&body);
-  if (place != nullptr) transfer(in, *place);
+bool transfer_if(std::size_t index, auto& io, Is<Body> auto& body) noexcept {
+  constexpr std::size_t kIndex = Body(T{}).index();
+  if (index != kIndex) return false;
+  // Assigning a T could throw, as far as the compiler knows.
+  if constexpr (std::remove_reference_t<decltype(io)>::kReading) body = Body(T{});
+  if (auto* const place = std::get_if<T>(&body)) transfer(io, *place);
   return true;
 }
 
-template <class T>
-bool write_if(FrameType of, const Frame& frame, FrameBytes& out) noexcept {
-  const T* const body = std::get_if<T>(&frame.body);
-  if (body == nullptr) return false;
-  FrameWriter writer(out);
-  std::uint16_t frame_control = kFrameControl;
-  auto type = static_cast<std::uint8_t>(static_cast<unsigned>(of) | (frame.secured ? kSecuredFlag : 0U));
-  transfer(writer, frame, frame_control, type);
-  transfer(writer, *body);
-  if (frame.secured) writer.number(std::uint64_t{0}, kCodeBytes);
-  return true;
+// Avoids std::visit, which could throw, as far as the compiler knows.
+bool transfer(std::size_t index, auto& io, Is<Body> auto& body) noexcept {
+  return transfer_if<Response>(index, io, body) || transfer_if<Poll>(index, io, body) ||
+         transfer_if<Beacon>(index, io, body) || transfer_if<Final>(index, io, body) ||
+         transfer_if<Join>(index, io, body) || transfer_if<Data>(index, io, body);
 }
+
+// The types count the kinds of Body.
+constexpr std::size_t kFirstType = 1;
+static_assert(static_cast<std::size_t>(FrameType::kBeacon) == kFirstType &&
+              static_cast<std::size_t>(FrameType::kData) == std::variant_size_v<Body>);
 
 }  // namespace
 
@@ -229,45 +194,32 @@ bool looks_like_poll(std::span<const std::uint8_t> bytes) noexcept {
          (bytes[kHeaderBytes - 1] & ~unsigned{kSecuredFlag}) == static_cast<unsigned>(FrameType::kPoll);
 }
 
-ParseResult parse(std::span<const std::uint8_t> bytes) noexcept {
-  Frame frame;
-  if (const auto error = parse(bytes, frame)) return {std::nullopt, *error};
-  return {frame, ParseError::kForeign};
-}
-
 std::optional<ParseError> parse(std::span<const std::uint8_t> bytes, Frame& frame) noexcept {
-  Reader in(bytes);
+  Fields<true> in(bytes);
   std::uint16_t frame_control = 0;
   std::uint8_t type = 0;
   transfer(in, frame, frame_control, type);
   if (!in.good() || frame_control != kFrameControl) return ParseError::kForeign;
   frame.secured = (type & kSecuredFlag) != 0;
   if (frame.secured) in.drop_last(kCodeBytes);
-  type = static_cast<std::uint8_t>(type & ~kSecuredFlag);
-  using enum FrameType;
-  const bool read =
-      read_if<Response>(kResponse, type, in, frame.body) || read_if<Poll>(kPoll, type, in, frame.body) ||
-      read_if<Beacon>(kBeacon, type, in, frame.body) || read_if<Final>(kFinal, type, in, frame.body) ||
-      read_if<Join>(kJoin, type, in, frame.body) || read_if<Data>(kData, type, in, frame.body);
-  return read && in.at_end() ? std::nullopt : std::optional(ParseError::kMalformed);
+  const std::size_t index = (type & ~std::size_t{kSecuredFlag}) - kFirstType;
+  const bool known = transfer(index, in, frame.body);
+  return known && in.good() && in.left() == 0 ? std::nullopt : std::optional(ParseError::kMalformed);
 }
 
 std::span<std::uint8_t> FrameBytes::code() noexcept {
   return std::span(data_).first(size_).last(size_ < kCodeBytes ? 0 : kCodeBytes);
 }
 
-FrameBytes serialize(const Frame& frame) noexcept {
-  FrameBytes out;
-  serialize(frame, out);
-  return out;
-}
-
-// Avoids std::visit, which could throw, as far as the compiler knows.
 void serialize(const Frame& frame, FrameBytes& out) noexcept {
-  using enum FrameType;
-  (void)(write_if<Response>(kResponse, frame, out) || write_if<Poll>(kPoll, frame, out) ||
-         write_if<Beacon>(kBeacon, frame, out) || write_if<Final>(kFinal, frame, out) ||
-         write_if<Join>(kJoin, frame, out) || write_if<Data>(kData, frame, out));
+  Fields<false> writer(out.data_);
+  const auto type =
+      static_cast<std::uint8_t>((frame.body.index() + kFirstType) | (frame.secured ? kSecuredFlag : 0U));
+  transfer(writer, frame, kFrameControl, type);
+  (void)transfer(frame.body.index(), writer, frame.body);
+  constexpr std::uint64_t kNoCode = 0;
+  if (frame.secured) writer.number(kNoCode, kCodeBytes);
+  out.size_ = out.data_.size() - writer.left();
 }
 
 }  // namespace groma::mac

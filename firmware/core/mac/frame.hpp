@@ -154,15 +154,8 @@ enum class ParseError : std::uint8_t {
   kMalformed,  // this protocol's header, but a wrong type, length or content
 };
 
-struct ParseResult {
-  std::optional<Frame> frame{};
-  ParseError error = ParseError::kForeign;  // if there is no frame
-};
-
-// Skips the MIC of a secured frame without checking it.
-[[nodiscard]] ParseResult parse(std::span<const std::uint8_t> bytes) noexcept;
-// Parses into `frame`, which must be default-constructed. Returns nothing on success; on an error `frame` is
-// unspecified.
+// Parses into `frame`, which must be default-constructed; skips the MIC of a secured frame without checking
+// it. Returns nothing on success; on an error `frame` is unspecified.
 [[nodiscard]] std::optional<ParseError> parse(std::span<const std::uint8_t> bytes, Frame& frame) noexcept;
 
 // Checks the type byte only, for callers without time to parse.
@@ -176,15 +169,13 @@ class FrameBytes {
   [[nodiscard]] std::span<std::uint8_t> code() noexcept;
 
  private:
-  friend class FrameWriter;
+  friend void serialize(const Frame& frame, FrameBytes& out) noexcept;
   std::array<std::uint8_t, radio::kMaxFrameBytes - radio::kFrameCheckBytes> data_{};
   std::size_t size_ = 0;
 };
 
 // A POLL's count must be at most kMaxAnchors, a DATA's size at most kMaxDataBytes, and intervals within their
 // bounds.
-[[nodiscard]] FrameBytes serialize(const Frame& frame) noexcept;
-// Serializes into `out`, without a copy.
 void serialize(const Frame& frame, FrameBytes& out) noexcept;
 
 // Bytes on the air, including the frame check but not the MIC of a secured frame.

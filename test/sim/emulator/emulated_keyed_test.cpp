@@ -12,6 +12,7 @@
 #include "firmware/sim/aes.hpp"
 #include "firmware/sim/transmitter.hpp"
 #include "test/sim/emulator/emulated_site.hpp"
+#include "test/support/frames.hpp"
 
 namespace groma::sim {
 namespace {
