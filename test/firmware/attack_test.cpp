@@ -172,7 +172,7 @@ class AttackTest : public ::testing::Test {
     if (const auto* beacon = std::get_if<mac::Beacon>(&parsed.body)) place = mac::place_of(*beacon);
     if (const auto* poll = std::get_if<mac::Poll>(&parsed.body)) place = {poll->superframe, poll->slot};
     auto signed_bytes = mac::serialize(parsed);
-    authenticator.sign(signed_bytes, place);
+    sign(authenticator, signed_bytes, parsed.body, place);
     return {signed_bytes.bytes().begin(), signed_bytes.bytes().end()};
   }
 
@@ -703,7 +703,7 @@ TEST(KeyedStation, ARecordedBeaconStaysUnverifiedWhateverIsHeardNext) {
                                  .source = 102,
                                  .secured = true,
                                  .body = beacon});
-    sender.sign(bytes, mac::place_of(beacon));
+    sign(sender, bytes, beacon, mac::place_of(beacon));
     return bytes;
   };
   mac::Beacon beacon{.superframe = 5'000,
@@ -882,7 +882,7 @@ TEST(KeyedStation, SignsOnlyAChallengeBeforeAReplayIsExcluded) {
   master.enter(beacon.session);
   auto bytes = mac::serialize(
       {.network = 0x55AA, .destination = mac::kBroadcast, .source = 101, .secured = true, .body = beacon});
-  master.sign(bytes, mac::place_of(beacon));
+  sign(master, bytes, beacon, mac::place_of(beacon));
   const mac::Reception reception{
       .timestamp = ClockTime(1'000'000'000), .timestamp_valid = true, .frame = bytes.bytes()};
   (void)station.on_received(reception);
@@ -890,7 +890,7 @@ TEST(KeyedStation, SignsOnlyAChallengeBeforeAReplayIsExcluded) {
   ASSERT_FALSE(station.fresh());
 
   const mac::Place place{5'000, mac::Place::kShared};
-  const auto code_of = [&](const mac::Body& body, const mac::MergeTarget* target = nullptr) {
+  const auto code_of = [&](const mac::Body& body, const mac::MergeTarget& target = {}) {
     const auto action = station.transmit(ClockTime(2'000'000'000), mac::kBroadcast, body, place, target);
     station.finish_signing();
     return std::vector<std::uint8_t>(action.frame.end() - mac::kCodeBytes, action.frame.end());
@@ -901,8 +901,9 @@ TEST(KeyedStation, SignsOnlyAChallengeBeforeAReplayIsExcluded) {
   join.wants_challenge_response = false;
   EXPECT_EQ(code_of(join), none);
   EXPECT_EQ(code_of(mac::Data{.origin = 1, .fragments = 1}), none);
-  const mac::MergeTarget target{beacon.session + 1, 70};
-  EXPECT_EQ(code_of(beacon, &target), none);
+  mac::Beacon request = beacon;
+  request.shared = request.merge_request = true;
+  EXPECT_EQ(code_of(request, {beacon.session + 1, 70}), none);
 }
 
 // An open node and a keyed network ignore each other's frames.

@@ -33,6 +33,26 @@ class FailingCipher final : public security::BlockCipher {
   sim::Aes aes;
 };
 
+// A body of the session's key.
+constexpr Body kPlain = Final{};
+
+Join challenge_of_nonce(std::uint64_t nonce) {
+  return {.nonce = nonce, .wants_challenge_response = true};
+}
+
+// By the session's key; by that of a beacon or of a challenge.
+bool fits(FrameAuthenticator& authenticator, std::span<const std::uint8_t> frame, Place place) {
+  return authenticator.fits(frame, kPlain, place);
+}
+bool fits(FrameAuthenticator& authenticator, std::span<const std::uint8_t> frame, const Beacon& beacon,
+          const MergeTarget& target = {}) {
+  return authenticator.fits(frame, beacon, place_of(beacon), target);
+}
+bool fits_challenge(FrameAuthenticator& authenticator, std::span<const std::uint8_t> frame, Place place,
+                    std::uint64_t nonce) {
+  return authenticator.fits(frame, challenge_of_nonce(nonce), place);
+}
+
 class FrameAuthenticatorTest : public ::testing::Test {
  protected:
   FrameAuthenticatorTest() { authenticator.enter(kSession); }
@@ -58,7 +78,7 @@ class FrameAuthenticatorTest : public ::testing::Test {
   std::vector<std::uint8_t> signed_bytes(const Frame& frame, Place at) {
     signed_places = {};
     FrameBytes bytes = serialize(frame);
-    authenticator.sign(bytes, at);
+    sign(authenticator, bytes, kPlain, at);
     return {bytes.bytes().begin(), bytes.bytes().end()};
   }
 
@@ -71,7 +91,7 @@ class FrameAuthenticatorTest : public ::testing::Test {
 TEST_F(FrameAuthenticatorTest, VerifiesItsOwnMicForEachFrameType) {
   for (const Body& body : bodies()) {
     const auto bytes = signed_bytes(frame_with(body), place);
-    EXPECT_TRUE(authenticator.fits(bytes, place)) << body.index();
+    EXPECT_TRUE(fits(authenticator, bytes, place)) << body.index();
     EXPECT_TRUE(parse(bytes).frame.has_value()) << body.index();
   }
 }
@@ -81,22 +101,22 @@ TEST_F(FrameAuthenticatorTest, RejectsItsMicAnywhereElse) {
     const auto bytes = signed_bytes(frame_with(body), place);
     for (const std::uint32_t superframe :
          {0U, 999U, 1'001U, 1'000U + (1U << 8), 1'000U + (1U << 16), 1'000U + (1U << 24)}) {
-      EXPECT_FALSE(authenticator.fits(bytes, Place{superframe, place.slot})) << body.index();
+      EXPECT_FALSE(fits(authenticator, bytes, Place{superframe, place.slot})) << body.index();
     }
     for (const std::uint8_t slot :
          {std::uint8_t{0}, std::uint8_t{1}, std::uint8_t{3}, Place::kBeacon, Place::kShared}) {
-      EXPECT_FALSE(authenticator.fits(bytes, Place{place.superframe, slot})) << body.index();
+      EXPECT_FALSE(fits(authenticator, bytes, Place{place.superframe, slot})) << body.index();
     }
     for (unsigned bit = 0; bit < 64; ++bit) {
       FrameAuthenticator other(&cipher, kKey);
       other.enter(kSession ^ std::uint64_t{1} << bit);
-      EXPECT_FALSE(other.fits(bytes, place)) << bit;
+      EXPECT_FALSE(fits(other, bytes, place)) << bit;
     }
     FrameAuthenticator stranger(&cipher, kOtherKey);
     stranger.enter(kSession);
-    EXPECT_FALSE(stranger.fits(bytes, place)) << body.index();
+    EXPECT_FALSE(fits(stranger, bytes, place)) << body.index();
     FrameAuthenticator searching(&cipher, kKey);
-    EXPECT_FALSE(searching.fits(bytes, place)) << body.index();
+    EXPECT_FALSE(fits(searching, bytes, place)) << body.index();
   }
 }
 
@@ -105,11 +125,11 @@ TEST_F(FrameAuthenticatorTest, DetectsEachFlippedBit) {
     auto bytes = signed_bytes(frame_with(body), place);
     for (std::size_t bit = 0; bit < 8 * bytes.size(); ++bit) {
       bytes[bit / 8] ^= static_cast<std::uint8_t>(1U << bit % 8);
-      EXPECT_FALSE(authenticator.fits(bytes, place)) << body.index() << ", bit " << bit;
+      EXPECT_FALSE(fits(authenticator, bytes, place)) << body.index() << ", bit " << bit;
       bytes[bit / 8] ^= static_cast<std::uint8_t>(1U << bit % 8);
     }
     for (std::size_t size = 0; size < bytes.size(); ++size) {
-      EXPECT_FALSE(authenticator.fits(std::span(bytes).first(size), place)) << body.index() << ", " << size;
+      EXPECT_FALSE(fits(authenticator, std::span(bytes).first(size), place)) << body.index() << ", " << size;
     }
   }
 }
@@ -125,16 +145,15 @@ TEST_F(FrameAuthenticatorTest, PrecomputationGivesTheSameMic) {
       precomputed.expect_sent(101, type, place);
       precomputed.expect_received(101, type, place);
       FrameBytes bytes = serialize(frame_with(body));
-      precomputed.begin_signing(bytes, place);
-      precomputed.finish_signing(bytes);
+      sign(precomputed, bytes, kPlain, place);
       EXPECT_TRUE(std::equal(plain.begin(), plain.end(), bytes.bytes().begin(), bytes.bytes().end()));
       precomputed.begin_verify(plain, place);
-      EXPECT_TRUE(precomputed.fits(plain, place));
-      EXPECT_TRUE(precomputed.fits(plain, place));
+      EXPECT_TRUE(fits(precomputed, plain, place));
+      EXPECT_TRUE(fits(precomputed, plain, place));
       // Frames of another session are not expected.
       precomputed.enter(kSession + 1);
       precomputed.begin_verify(plain, place);
-      EXPECT_FALSE(precomputed.fits(plain, place));
+      EXPECT_FALSE(fits(precomputed, plain, place));
     }
   }
 }
@@ -150,10 +169,9 @@ TEST_F(FrameAuthenticatorTest, DiscardsPrecomputationsOfThePreviousSession) {
       node.expect_received(101, type, place);
       node.enter(kSession);
       FrameBytes bytes = serialize(frame_with(body));
-      node.begin_signing(bytes, place);
-      node.finish_signing(bytes);
+      sign(node, bytes, kPlain, place);
       EXPECT_TRUE(std::equal(plain.begin(), plain.end(), bytes.bytes().begin(), bytes.bytes().end()));
-      EXPECT_TRUE(node.fits(plain, place));
+      EXPECT_TRUE(fits(node, plain, place));
     }
   }
 }
@@ -165,17 +183,17 @@ TEST_F(FrameAuthenticatorTest, DetectsAForgeryWhoseVerificationBeganEarly) {
   for (std::size_t bit = 0; bit < 8 * bytes.size(); ++bit) {
     bytes[bit / 8] ^= static_cast<std::uint8_t>(1U << bit % 8);
     authenticator.begin_verify(bytes, place);
-    EXPECT_FALSE(authenticator.fits(bytes, place)) << bit;
+    EXPECT_FALSE(fits(authenticator, bytes, place)) << bit;
     bytes[bit / 8] ^= static_cast<std::uint8_t>(1U << bit % 8);
   }
   for (std::size_t size = 0; size < bytes.size(); ++size) {
     authenticator.begin_verify(std::span(bytes).first(size), place);
-    EXPECT_FALSE(authenticator.fits(std::span(bytes).first(size), place)) << size;
+    EXPECT_FALSE(fits(authenticator, std::span(bytes).first(size), place)) << size;
   }
   authenticator.begin_verify(bytes, place);
-  EXPECT_FALSE(authenticator.fits(bytes, Place{place.superframe + 1, place.slot}));
+  EXPECT_FALSE(fits(authenticator, bytes, Place{place.superframe + 1, place.slot}));
   authenticator.begin_verify(bytes, place);
-  EXPECT_TRUE(authenticator.fits(bytes, place));
+  EXPECT_TRUE(fits(authenticator, bytes, place));
 }
 
 // The previous frame was never verified, and its bytes were at the same address.
@@ -187,43 +205,43 @@ TEST_F(FrameAuthenticatorTest, CarriesNoResultOverFromThePreviousFrame) {
   authenticator.begin_verify(bytes, place);
   change(bytes);
   authenticator.begin_verify(bytes, Place{place.superframe, 5});
-  EXPECT_FALSE(authenticator.fits(bytes, place));
+  EXPECT_FALSE(fits(authenticator, bytes, place));
 
   bytes = good;
   authenticator.begin_verify(bytes, place);
   FrameBytes own = serialize(frame_with(bodies()[2]));
-  authenticator.sign(own, place);
+  sign(authenticator, own, bodies()[2], place);
   change(bytes);
-  EXPECT_FALSE(authenticator.fits(bytes, place));
+  EXPECT_FALSE(fits(authenticator, bytes, place));
 
   bytes = good;
   authenticator.begin_verify(bytes, place);
   authenticator.expect_received(102, FrameType::kPoll, place);
   change(bytes);
-  EXPECT_FALSE(authenticator.fits(bytes, place));
+  EXPECT_FALSE(fits(authenticator, bytes, place));
 }
 
 TEST_F(FrameAuthenticatorTest, VerifiesABeaconByItsOwnSessionAndSuperframe) {
   Beacon beacon = std::get<Beacon>(bodies()[0]);
   const auto own = signed_bytes(frame_with(beacon), place_of(beacon));
   FrameAuthenticator searching(&cipher, kKey);
-  EXPECT_TRUE(searching.fits(own, beacon));
-  EXPECT_TRUE(authenticator.fits(own, beacon));
+  EXPECT_TRUE(fits(searching, own, beacon));
+  EXPECT_TRUE(fits(authenticator, own, beacon));
   // A relayed beacon goes out in the shared slot.
   beacon.hop = 1;
   beacon.shared = true;
   const auto relayed = signed_bytes(frame_with(beacon), {1'000, Place::kShared});
-  EXPECT_TRUE(authenticator.fits(relayed, beacon));
-  EXPECT_FALSE(authenticator.fits(signed_bytes(frame_with(beacon), {1'000, Place::kBeacon}), beacon));
+  EXPECT_TRUE(fits(authenticator, relayed, beacon));
+  EXPECT_FALSE(fits(authenticator, signed_bytes(frame_with(beacon), {1'000, Place::kBeacon}), beacon));
   // Another session has another key.
   beacon.session ^= 1;
-  EXPECT_FALSE(authenticator.fits(signed_bytes(frame_with(beacon), place_of(beacon)), beacon));
+  EXPECT_FALSE(fits(authenticator, signed_bytes(frame_with(beacon), place_of(beacon)), beacon));
   SignedPlaces places;
   FrameAuthenticator other(&cipher, kKey, &places);
   other.enter(beacon.session);
   FrameBytes bytes = serialize(frame_with(beacon));
-  other.sign(bytes, place_of(beacon));
-  EXPECT_TRUE(authenticator.fits(bytes.bytes(), beacon));
+  sign(other, bytes, beacon, place_of(beacon));
+  EXPECT_TRUE(fits(authenticator, bytes.bytes(), beacon));
 }
 
 TEST_F(FrameAuthenticatorTest, AMergeRequestIsValidOnlyForItsTargetSessionAndSuperframe) {
@@ -232,49 +250,46 @@ TEST_F(FrameAuthenticatorTest, AMergeRequestIsValidOnlyForItsTargetSessionAndSup
   beacon.place = ranging::Ticks(12'345);
   const MergeTarget target{kSession + 5, 77};
   FrameBytes bytes = serialize(frame_with(beacon));
-  authenticator.begin_signing(bytes, place_of(beacon), target);
-  authenticator.finish_signing(bytes);
+  sign(authenticator, bytes, beacon, place_of(beacon), target);
   FrameAuthenticator receiver(&cipher, kKey);
   receiver.enter(target.session);
   const auto frame = bytes.bytes();
-  EXPECT_TRUE(receiver.fits(frame, beacon, target));
-  EXPECT_TRUE(authenticator.fits(frame, beacon, target));
-  EXPECT_FALSE(receiver.fits(frame, beacon, {target.session, target.superframe + 1}));
-  EXPECT_FALSE(receiver.fits(frame, beacon, {target.session, target.superframe + 256}));
-  EXPECT_FALSE(receiver.fits(frame, beacon, {target.session + 1, target.superframe}));
-  EXPECT_FALSE(receiver.fits(frame, beacon, {target.session ^ (std::uint64_t{1} << 60), target.superframe}));
+  EXPECT_TRUE(fits(receiver, frame, beacon, target));
+  EXPECT_TRUE(fits(authenticator, frame, beacon, target));
+  EXPECT_FALSE(fits(receiver, frame, beacon, {target.session, target.superframe + 1}));
+  EXPECT_FALSE(fits(receiver, frame, beacon, {target.session, target.superframe + 256}));
+  EXPECT_FALSE(fits(receiver, frame, beacon, {target.session + 1, target.superframe}));
+  EXPECT_FALSE(fits(receiver, frame, beacon, {target.session ^ (std::uint64_t{1} << 60), target.superframe}));
   // It does not verify as a beacon of its own session, nor does such a beacon verify as a merge request.
-  EXPECT_FALSE(receiver.fits(frame, beacon));
-  EXPECT_FALSE(receiver.fits(signed_bytes(frame_with(beacon), place_of(beacon)), beacon, target));
+  EXPECT_FALSE(fits(receiver, frame, beacon));
+  EXPECT_FALSE(fits(receiver, signed_bytes(frame_with(beacon), place_of(beacon)), beacon, target));
   for (std::size_t i = 0; i < frame.size(); ++i) {
     std::vector<std::uint8_t> changed(frame.begin(), frame.end());
     changed[i] ^= 1;
-    EXPECT_FALSE(receiver.fits(changed, beacon, target)) << i;
+    EXPECT_FALSE(fits(receiver, changed, beacon, target)) << i;
   }
   // A node with another key cannot make one.
   SignedPlaces places;
   FrameAuthenticator stranger(&cipher, kOtherKey, &places);
   stranger.enter(kSession);
   FrameBytes forged = serialize(frame_with(beacon));
-  stranger.begin_signing(forged, place_of(beacon), target);
-  stranger.finish_signing(forged);
-  EXPECT_FALSE(receiver.fits(forged.bytes(), beacon, target));
+  sign(stranger, forged, beacon, place_of(beacon), target);
+  EXPECT_FALSE(fits(receiver, forged.bytes(), beacon, target));
   cipher.good = false;
-  EXPECT_FALSE(receiver.fits(frame, beacon, target));
+  EXPECT_FALSE(fits(receiver, frame, beacon, target));
   FrameBytes unsigned_frame = serialize(frame_with(beacon));
   signed_places = {};
-  authenticator.begin_signing(unsigned_frame, place_of(beacon), target);
-  authenticator.finish_signing(unsigned_frame);
+  sign(authenticator, unsigned_frame, beacon, place_of(beacon), target);
   cipher.good = true;
-  EXPECT_FALSE(receiver.fits(unsigned_frame.bytes(), beacon, target));
+  EXPECT_FALSE(fits(receiver, unsigned_frame.bytes(), beacon, target));
 }
 
 // Two MICs with one nonce would help to forge a third one.
 TEST_F(FrameAuthenticatorTest, RefusesToUseANonceTwice) {
   const auto signs = [&](FrameAuthenticator& signer, const Body& body, Place at) {
     FrameBytes bytes = serialize(frame_with(body));
-    signer.sign(bytes, at);
-    return signer.fits(bytes.bytes(), at);
+    sign(signer, bytes, body, at);
+    return signer.fits(bytes.bytes(), body, at);
   };
   const auto signed_at = [&](const Body& body, Place at) { return signs(authenticator, body, at); };
   EXPECT_TRUE(signed_at(Final{4}, place));
@@ -297,10 +312,10 @@ TEST_F(FrameAuthenticatorTest, RefusesToUseANonceTwice) {
   const MergeTarget target{kSession + 5, 77};
   for (const bool first : {true, false}) {
     FrameBytes bytes = serialize(frame_with(beacon));
-    authenticator.begin_signing(bytes, place_of(beacon), target);
-    authenticator.finish_signing(bytes);
-    EXPECT_EQ(authenticator.fits(bytes.bytes(), beacon, target), first);
+    sign(authenticator, bytes, beacon, place_of(beacon), target);
+    EXPECT_EQ(fits(authenticator, bytes.bytes(), beacon, target), first);
   }
+  beacon.merge_request = false;
   EXPECT_TRUE(signed_at(beacon, place_of(beacon)));
   authenticator.enter(kSession + 1);
   EXPECT_TRUE(signed_at(Final{7}, place)) << "another session's key";
@@ -315,8 +330,7 @@ TEST_F(FrameAuthenticatorTest, SignsAChallengeWithAKeyOfItsOwn) {
   FrameBytes out = serialize(frame);
   // What was precomputed is of another key.
   authenticator.expect_sent(101, FrameType::kJoin, place);
-  authenticator.begin_signing_challenge(out, place, kNonce);
-  authenticator.finish_signing(out);
+  sign(authenticator, out, challenge_of_nonce(kNonce), place);
   const auto bytes = out.bytes();
 
   security::Block session_key = {1, 0, 7, 0, 0, 0, 0x65, 0, 'g', 'r', 'o', 'm', 'a'};
@@ -329,43 +343,41 @@ TEST_F(FrameAuthenticatorTest, SignsAChallengeWithAKeyOfItsOwn) {
   EXPECT_TRUE(security::equal(*code, bytes.last(kCodeBytes)));
 
   FrameAuthenticator receiver(&cipher, kKey);
-  EXPECT_FALSE(receiver.fits_challenge(bytes, place, kNonce)) << "it follows no session";
+  EXPECT_FALSE(fits_challenge(receiver, bytes, place, kNonce)) << "it follows no session";
   receiver.enter(kSession);
   receiver.expect_received(101, FrameType::kJoin, place);
   receiver.begin_verify(bytes, place);
-  EXPECT_TRUE(receiver.fits_challenge(bytes, place, kNonce));
-  EXPECT_TRUE(authenticator.fits_challenge(bytes, place, kNonce));
-  EXPECT_FALSE(receiver.fits(bytes, place)) << "the session's key";
-  EXPECT_FALSE(receiver.fits_challenge(signed_bytes(frame, place), place, kNonce));
-  EXPECT_FALSE(receiver.fits_challenge(bytes, {place.superframe + 1, place.slot}, kNonce));
-  EXPECT_FALSE(receiver.fits_challenge(bytes, {place.superframe, 3}, kNonce));
+  EXPECT_TRUE(fits_challenge(receiver, bytes, place, kNonce));
+  EXPECT_TRUE(fits_challenge(authenticator, bytes, place, kNonce));
+  EXPECT_FALSE(fits(receiver, bytes, place)) << "the session's key";
+  EXPECT_FALSE(fits_challenge(receiver, signed_bytes(frame, place), place, kNonce));
+  EXPECT_FALSE(fits_challenge(receiver, bytes, {place.superframe + 1, place.slot}, kNonce));
+  EXPECT_FALSE(fits_challenge(receiver, bytes, {place.superframe, 3}, kNonce));
   for (unsigned bit = 0; bit < 64; ++bit)
-    EXPECT_FALSE(receiver.fits_challenge(bytes, place, kNonce ^ std::uint64_t{1} << bit)) << bit;
+    EXPECT_FALSE(fits_challenge(receiver, bytes, place, kNonce ^ std::uint64_t{1} << bit)) << bit;
   for (std::size_t i = 0; i < bytes.size(); ++i) {
     std::vector<std::uint8_t> changed(bytes.begin(), bytes.end());
     changed[i] ^= 1;
-    EXPECT_FALSE(receiver.fits_challenge(changed, place, kNonce)) << i;
+    EXPECT_FALSE(fits_challenge(receiver, changed, place, kNonce)) << i;
   }
   receiver.enter(kSession + 1);
-  EXPECT_FALSE(receiver.fits_challenge(bytes, place, kNonce));
+  EXPECT_FALSE(fits_challenge(receiver, bytes, place, kNonce));
   receiver.enter(kSession);
   cipher.good = false;
-  EXPECT_FALSE(receiver.fits_challenge(bytes, place, kNonce));
+  EXPECT_FALSE(fits_challenge(receiver, bytes, place, kNonce));
   FrameBytes unsigned_frame = serialize(frame);
   signed_places = {};
-  authenticator.begin_signing_challenge(unsigned_frame, place, kNonce);
-  authenticator.finish_signing(unsigned_frame);
+  sign(authenticator, unsigned_frame, challenge_of_nonce(kNonce), place);
   cipher.good = true;
-  EXPECT_FALSE(receiver.fits_challenge(unsigned_frame.bytes(), place, kNonce));
+  EXPECT_FALSE(fits_challenge(receiver, unsigned_frame.bytes(), place, kNonce));
 }
 
 TEST_F(FrameAuthenticatorTest, SignsAChallengeOnceInAPlace) {
   const auto signs = [&](FrameAuthenticator& signer, std::uint64_t nonce, std::uint32_t superframe) {
     const Place at{superframe, Place::kShared};
     FrameBytes bytes = serialize(frame_with(Join{.nonce = nonce, .wants_challenge_response = true}));
-    signer.begin_signing_challenge(bytes, at, nonce);
-    signer.finish_signing(bytes);
-    return signer.fits_challenge(bytes.bytes(), at, nonce);
+    sign(signer, bytes, challenge_of_nonce(nonce), at);
+    return fits_challenge(signer, bytes.bytes(), at, nonce);
   };
   EXPECT_TRUE(signs(authenticator, 7, 10));
   EXPECT_FALSE(signs(authenticator, 7, 10));
@@ -396,30 +408,30 @@ TEST_F(FrameAuthenticatorTest, ChallengesInAnotherSessionKeepTheRecordOfThisOne)
 TEST_F(FrameAuthenticatorTest, VerifiesNothingIfTheCipherFails) {
   const auto bytes = signed_bytes(frame_with(Final{4}), place);
   cipher.good = false;
-  EXPECT_FALSE(authenticator.fits(bytes, place));
+  EXPECT_FALSE(fits(authenticator, bytes, place));
   const auto unsigned_frame = signed_bytes(frame_with(Final{4}), place);
   authenticator.enter(kSession + 1);
   cipher.good = true;
   // That session then has no key, not one of zeros.
   EXPECT_EQ(signed_bytes(frame_with(Final{4}), place), unsigned_frame);
-  EXPECT_FALSE(authenticator.fits(bytes, place));
-  EXPECT_FALSE(authenticator.fits(unsigned_frame, place));
+  EXPECT_FALSE(fits(authenticator, bytes, place));
+  EXPECT_FALSE(fits(authenticator, unsigned_frame, place));
   authenticator.enter(kSession);
-  EXPECT_FALSE(authenticator.fits(unsigned_frame, place));
-  EXPECT_TRUE(authenticator.fits(bytes, place));
+  EXPECT_FALSE(fits(authenticator, unsigned_frame, place));
+  EXPECT_TRUE(fits(authenticator, bytes, place));
 
   // Nor with a precomputed MIC.
   cipher.good = false;
   authenticator.expect_received(101, FrameType::kFinal, place);
   authenticator.begin_verify(bytes, place);
-  EXPECT_FALSE(authenticator.fits(bytes, place));
+  EXPECT_FALSE(fits(authenticator, bytes, place));
   cipher.good = true;
   authenticator.expect_received(101, FrameType::kFinal, place);
   cipher.good = false;
   authenticator.begin_verify(bytes, place);
   cipher.good = true;
-  EXPECT_FALSE(authenticator.fits(bytes, place));
-  EXPECT_TRUE(authenticator.fits(bytes, place));
+  EXPECT_FALSE(fits(authenticator, bytes, place));
+  EXPECT_TRUE(fits(authenticator, bytes, place));
 }
 
 TEST(FrameAuthenticator, OfAnOpenNetworkDoesNothing) {
@@ -431,8 +443,8 @@ TEST(FrameAuthenticator, OfAnOpenNetworkDoesNothing) {
   EXPECT_FALSE(open.on());
   EXPECT_FALSE(keyless.on());
   const FrameBytes bytes = serialize({.secured = true, .body = Final{4}});
-  EXPECT_FALSE(open.fits(bytes.bytes(), Place{}));
-  EXPECT_FALSE(keyless.fits(bytes.bytes(), Beacon{}));
+  EXPECT_FALSE(fits(open, bytes.bytes(), Place{}));
+  EXPECT_FALSE(fits(keyless, bytes.bytes(), Beacon{}));
 }
 
 // ---- challenge and response against replay ------------------------------------------------------------

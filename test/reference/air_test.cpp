@@ -908,23 +908,22 @@ TEST(AirReference, KeyedExamplesAreValid) {
 
   expect("keyed POLL", frame_from(90, kBroadcast, 1, example_poll()), session_key, {1000, 0});
   EXPECT_EQ(keys.last_nonce(), keys.bytes("nonce"));
-  EXPECT_TRUE(keys.authenticator().fits(checked("keyed POLL"), Place{1000, 0}));
-  EXPECT_FALSE(keys.authenticator().fits(checked("keyed POLL"), Place{1000, 1}));
+  EXPECT_TRUE(keys.authenticator().fits(checked("keyed POLL"), example_poll(), {1000, 0}));
+  EXPECT_FALSE(keys.authenticator().fits(checked("keyed POLL"), example_poll(), {1000, 1}));
 
   expect("keyed BEACON", frame_from(9, kBroadcast, 101, beacon), session_key, {1000, Place::kBeacon});
-  EXPECT_TRUE(keys.authenticator().fits(checked("keyed BEACON"), beacon));
+  EXPECT_TRUE(keys.authenticator().fits(checked("keyed BEACON"), beacon, {1000, Place::kBeacon}));
 
   const Join join{.origin = 1, .nonce = std::uint64_t{1} << 32 | 1002, .tag = true, .wants_slot = true};
   expect("keyed JOIN", frame_from(4, kBroadcast, 1, join), session_key, {1002, Place::kShared});
-  EXPECT_TRUE(keys.authenticator().fits(checked("keyed JOIN"), Place{1002, Place::kShared}));
+  EXPECT_TRUE(keys.authenticator().fits(checked("keyed JOIN"), join, {1002, Place::kShared}));
 
   const Join challenge{
       .origin = 1, .nonce = 0x0000'0009'0000'0000, .tag = true, .wants_challenge_response = true};
   expect("challenge JOIN", frame_from(3, kBroadcast, 1, challenge), keys.bytes("challenge key"),
          {998, Place::kShared});
-  EXPECT_TRUE(
-      keys.authenticator().fits_challenge(checked("challenge JOIN"), {998, Place::kShared}, challenge.nonce));
-  EXPECT_FALSE(keys.authenticator().fits(checked("challenge JOIN"), Place{998, Place::kShared}));
+  EXPECT_TRUE(keys.authenticator().fits(checked("challenge JOIN"), challenge, {998, Place::kShared}));
+  EXPECT_FALSE(keys.authenticator().fits(checked("challenge JOIN"), join, {998, Place::kShared}));
 
   beacon.superframe = 1001;
   beacon.tx_offset_dtu = 0;
@@ -933,8 +932,12 @@ TEST(AirReference, KeyedExamplesAreValid) {
   beacon.challenge_response.reset();
   expect("merge request", frame_from(10, kBroadcast, 101, beacon), keys.bytes("call key"),
          {1001, Place::kShared});
-  EXPECT_TRUE(keys.authenticator().fits(checked("merge request"), beacon, {0x0066'0000'0003'0000, 77}));
-  EXPECT_FALSE(keys.authenticator().fits(checked("merge request"), beacon, {0x0066'0000'0003'0000, 78}));
+  const auto fits_for = [&](std::uint32_t superframe) {
+    return keys.authenticator().fits(checked("merge request"), beacon, {1001, Place::kShared},
+                                     {0x0066'0000'0003'0000, superframe});
+  };
+  EXPECT_TRUE(fits_for(77));
+  EXPECT_FALSE(fits_for(78));
 }
 
 }  // namespace

@@ -171,7 +171,7 @@ TEST(KeyedSite, CountsAnAttackersFramesAndKeepsRanging) {
         const auto& current = std::get<mac::Beacon>(beacon->frame.body);
         authenticator.enter(current.session);
         auto made = mac::serialize(heard->frame);
-        authenticator.sign(made, {current.superframe + 1, mac::Place::kShared});
+        sign(authenticator, made, heard->frame.body, {current.superframe + 1, mac::Place::kShared});
         bytes.assign(made.bytes().begin(), made.bytes().end());
         break;
       }

@@ -1,4 +1,4 @@
-// Frames as values.
+// Frames as values, and their MICs in one call.
 #pragma once
 
 #include <cstdint>
@@ -6,6 +6,7 @@
 #include <span>
 
 #include "firmware/core/mac/frame.hpp"
+#include "firmware/core/mac/frame_authenticator.hpp"
 
 namespace groma::mac {
 
@@ -24,6 +25,12 @@ struct ParseResult {
   FrameBytes out;
   serialize(frame, out);
   return out;
+}
+
+inline void sign(FrameAuthenticator& authenticator, FrameBytes& bytes, const Body& body, Place place,
+                 const MergeTarget& merge_target = {}) {
+  authenticator.begin_signing(bytes, body, place, merge_target);
+  authenticator.finish_signing(bytes);
 }
 
 }  // namespace groma::mac

@@ -139,6 +139,12 @@ struct Data {
 
 using Body = std::variant<Beacon, Poll, Response, Final, Join, Data>;
 
+// The JOIN that is a challenge, or null.
+[[nodiscard]] inline const Join* challenge_of(const Body& body) noexcept {
+  const auto* join = std::get_if<Join>(&body);
+  return join != nullptr && join->wants_challenge_response ? join : nullptr;
+}
+
 struct Frame {
   std::uint8_t sequence = 0;
   std::uint16_t network = 0;

@@ -30,22 +30,12 @@ std::optional<security::Prepared> prepare(security::BlockCipher& cipher, const K
   return security::prepare(cipher, key, bytes);
 }
 
-constexpr std::uint8_t secured(FrameType type) noexcept {
-  return static_cast<std::uint8_t>(static_cast<std::uint8_t>(type) | kSecuredFlag);
-}
-
 constexpr bool is_whole(std::span<const std::uint8_t> frame) noexcept {
   return frame.size() >= kHeaderBytes + kCodeBytes;
 }
 
 std::span<const std::uint8_t> without_code(std::span<const std::uint8_t> frame) noexcept {
   return frame.first(frame.size() - kCodeBytes);
-}
-
-// The kinds of SignedPlaces: the frame's type; merge requests are beacons with keys of their own.
-constexpr std::size_t kMergeRequests = 0;
-std::size_t kind_of(std::span<const std::uint8_t> frame) noexcept {
-  return frame[kType] & 7U;
 }
 
 // Returns false for a place before `next`, which counts the places of a session.
@@ -93,14 +83,15 @@ const std::optional<Key>& FrameAuthenticator::key_of(std::uint64_t session) noex
   return other_key_;
 }
 
-std::optional<Key> FrameAuthenticator::call_key(std::uint64_t caller,
-                                                const MergeTarget& merge_target) noexcept {
-  const auto& key = key_of(caller);
-  return key ? derive(*key, merge_target.session, "call", merge_target.superframe) : std::nullopt;
-}
-
-std::optional<Key> FrameAuthenticator::challenge_key(std::uint64_t nonce) noexcept {
-  return session_key_ ? derive(*session_key_, nonce, "join") : std::nullopt;
+std::optional<Key> FrameAuthenticator::key_for(const Body& body, const MergeTarget& merge_target) noexcept {
+  if (const auto* beacon = std::get_if<Beacon>(&body)) {
+    const auto& key = key_of(beacon->session);
+    if (!key || !beacon->merge_request) return key;
+    return derive(*key, merge_target.session, "call", merge_target.superframe);
+  }
+  const Join* challenge = challenge_of(body);
+  if (challenge == nullptr) return session_key_;
+  return session_key_ ? derive(*session_key_, challenge->nonce, "join") : std::nullopt;
 }
 
 void FrameAuthenticator::enter(std::uint64_t session) noexcept {
@@ -113,19 +104,13 @@ void FrameAuthenticator::enter(std::uint64_t session) noexcept {
 
 // ---- MICs
 
-void FrameAuthenticator::expect(std::optional<Expected>& out, std::uint64_t nonce) noexcept {
+void FrameAuthenticator::expect(std::optional<Expected>& out, std::uint16_t source, FrameType type,
+                                Place place) noexcept {
+  const std::uint64_t nonce = nonce_of(source, static_cast<std::uint8_t>(type) | kSecuredFlag, place);
   if (!session_key_ || (out && out->nonce == nonce)) return;
   abandon();
   out.reset();
   if (const auto prepared = prepare(*cipher_, *session_key_, nonce)) out = {nonce, *prepared};
-}
-
-void FrameAuthenticator::expect_received(std::uint16_t source, FrameType type, Place place) noexcept {
-  expect(received_, nonce_of(source, secured(type), place));
-}
-
-void FrameAuthenticator::expect_sent(std::uint16_t source, FrameType type, Place place) noexcept {
-  expect(sent_, nonce_of(source, secured(type), place));
 }
 
 std::optional<security::Block> FrameAuthenticator::begin(const std::optional<Key>& key,
@@ -135,7 +120,7 @@ std::optional<security::Block> FrameAuthenticator::begin(const std::optional<Key
   abandon();
   if (!key || !is_whole(frame)) return std::nullopt;
   const std::uint64_t nonce = nonce_of(frame, place);
-  const bool prepared = expected && expected->nonce == nonce;
+  const bool prepared = expected && expected->nonce == nonce && key == session_key_;
   const auto parts = prepared ? std::optional(expected->prepared) : prepare(*cipher_, *key, nonce);
   if (!parts) return std::nullopt;
   security::begin_code(*cipher_, *key, parts->first, without_code(frame));
@@ -156,49 +141,29 @@ void FrameAuthenticator::begin_verify(std::span<const std::uint8_t> frame, Place
     checking_ = {frame, received_->nonce, *mask};
 }
 
-bool FrameAuthenticator::fits(std::span<const std::uint8_t> frame, Place place) noexcept {
+bool FrameAuthenticator::fits(std::span<const std::uint8_t> frame, const Body& body, Place place,
+                              const MergeTarget& merge_target) noexcept {
+  if (!on()) return false;
   const auto begun = std::exchange(checking_, std::nullopt);
-  if (begun && begun->frame.data() == frame.data() && begun->frame.size() == frame.size() &&
-      begun->nonce == nonce_of(frame, place)) {
+  const auto key = key_for(body, merge_target);
+  if (begun && key == session_key_ && begun->frame.data() == frame.data() &&
+      begun->frame.size() == frame.size() && begun->nonce == nonce_of(frame, place)) {
     return ends_as(frame, begun->mask);
   }
-  return ends_as(frame, begin(session_key_, received_, frame, place));
+  return ends_as(frame, begin(key, received_, frame, place));
 }
 
-bool FrameAuthenticator::fits(std::span<const std::uint8_t> frame, const Beacon& beacon) noexcept {
-  if (!on()) return false;
-  if (session_key_ && beacon.session == session_) return fits(frame, place_of(beacon));
-  return ends_as(frame, begin(key_of(beacon.session), {}, frame, place_of(beacon)));
-}
-
-bool FrameAuthenticator::fits(std::span<const std::uint8_t> frame, const Beacon& beacon,
-                              const MergeTarget& merge_target) noexcept {
-  return on() && ends_as(frame, begin(call_key(beacon.session, merge_target), {}, frame, place_of(beacon)));
-}
-
-bool FrameAuthenticator::fits_challenge(std::span<const std::uint8_t> frame, Place place,
-                                        std::uint64_t nonce) noexcept {
-  return ends_as(frame, begin(challenge_key(nonce), {}, frame, place));
-}
-
-void FrameAuthenticator::begin_signing(const FrameBytes& frame, Place place) noexcept {
-  abandon();
-  if (session_key_ && may_sign(kind_of(frame.bytes()), place))
-    signing_mask_ = begin(session_key_, sent_, frame.bytes(), place);
-}
-
-void FrameAuthenticator::begin_signing(const FrameBytes& frame, Place place,
+void FrameAuthenticator::begin_signing(const FrameBytes& frame, const Body& body, Place place,
                                        const MergeTarget& merge_target) noexcept {
   abandon();
-  if (on() && may_sign(kMergeRequests, place))
-    signing_mask_ = begin(call_key(session_, merge_target), {}, frame.bytes(), place);
-}
-
-void FrameAuthenticator::begin_signing_challenge(const FrameBytes& frame, Place place,
-                                                 std::uint64_t nonce) noexcept {
-  abandon();
-  if (on() && signed_places_ != nullptr && signed_places_->take_challenge(nonce, place))
-    signing_mask_ = begin(challenge_key(nonce), {}, frame.bytes(), place);
+  if (!session_key_ || signed_places_ == nullptr) return;
+  const Join* challenge = challenge_of(body);
+  const auto* beacon = std::get_if<Beacon>(&body);
+  const bool requests = beacon != nullptr && beacon->merge_request;
+  const std::size_t kind = requests ? SignedPlaces::kMergeRequests : body.index();
+  const bool first = challenge != nullptr ? signed_places_->take_challenge(challenge->nonce, place)
+                                          : signed_places_->take(session_, kind, place);
+  if (first) signing_mask_ = begin(key_for(body, merge_target), sent_, frame.bytes(), place);
 }
 
 void FrameAuthenticator::finish_signing(FrameBytes& frame) noexcept {

@@ -33,6 +33,7 @@
 #include <optional>
 #include <span>
 #include <string_view>
+#include <variant>
 
 #include "firmware/core/mac/frame.hpp"
 #include "firmware/core/security/ccm.hpp"
@@ -62,7 +63,9 @@ struct MergeTarget {
 // state machine, which a radio recovery replaces.
 class SignedPlaces {
  public:
-  // For a session in which a replay has been excluded. `kind`: 0 to 7.
+  // The kind of merge requests, beacons with keys of their own; other frames': the index in Body.
+  static constexpr std::size_t kMergeRequests = std::variant_size_v<Body>;
+  // For a session in which a replay has been excluded.
   [[nodiscard]] bool take(std::uint64_t session, std::size_t kind, Place place) noexcept;
   // For a challenge, in any session. Also refuses a nonce that is less than the last one: nonces of a boot
   // count up.
@@ -70,7 +73,7 @@ class SignedPlaces {
 
  private:
   std::uint64_t session_ = 0;
-  std::array<std::uint64_t, 8> next_{};
+  std::array<std::uint64_t, kMergeRequests + 1> next_{};
   std::uint64_t challenge_ = 0;
   std::uint64_t next_of_challenge_ = 0;
 };
@@ -95,41 +98,32 @@ class FrameAuthenticator {
 
   // Precomputes cipher blocks for the secured frame that will most likely be received, or sent, next. Call in
   // idle time.
-  void expect_received(std::uint16_t source, FrameType type, Place place) noexcept;
-  void expect_sent(std::uint16_t source, FrameType type, Place place) noexcept;
+  void expect_received(std::uint16_t source, FrameType type, Place place) noexcept {
+    expect(received_, source, type, place);
+  }
+  void expect_sent(std::uint16_t source, FrameType type, Place place) noexcept {
+    expect(sent_, source, type, place);
+  }
 
-  // Call for each frame received, before fits(). Starts the computation that fits(frame, place) needs if the
-  // frame was expected, and discards any other that is in progress. The frame's bytes must not change until
-  // fits(): a change would not be detected.
+  // Call for each frame received, before fits(). Starts the computation that fits() needs if the frame was
+  // expected, and discards any other that is in progress. The frame's bytes must not change until fits(): a
+  // change would not be detected.
   void begin_verify(std::span<const std::uint8_t> frame, Place place) noexcept;
-  // Whether the MIC of a secured frame is valid in the present session.
-  [[nodiscard]] bool fits(std::span<const std::uint8_t> frame, Place place) noexcept;
-  // The same for a challenge JOIN with this nonce.
-  [[nodiscard]] bool fits_challenge(std::span<const std::uint8_t> frame, Place place,
-                                    std::uint64_t nonce) noexcept;
-  // Whether the MIC is valid in the session, superframe and place that the beacon itself states.
-  [[nodiscard]] bool fits(std::span<const std::uint8_t> frame, const Beacon& beacon) noexcept;
+  // Whether the MIC of a secured frame with this body is valid in this place: for a beacon in the session
+  // that it states, otherwise in the present one. `merge_target`: the receivers, if it is a merge request.
+  [[nodiscard]] bool fits(std::span<const std::uint8_t> frame, const Body& body, Place place,
+                          const MergeTarget& merge_target = {}) noexcept;
 
-  // Whether the MIC of a merge request to these receivers is valid.
-  [[nodiscard]] bool fits(std::span<const std::uint8_t> frame, const Beacon& beacon,
-                          const MergeTarget& merge_target) noexcept;
-
-  // Writes the MIC to the end of a secured frame. If the cipher fails, or the nonce may have been used, the
-  // frame is left without a valid MIC and all receivers reject it. The frame must not change between begin
-  // and finish.
-  void begin_signing(const FrameBytes& frame, Place place) noexcept;
-  void begin_signing(const FrameBytes& frame, Place place, const MergeTarget& merge_target) noexcept;
-  // The frame: a challenge JOIN with this nonce.
-  void begin_signing_challenge(const FrameBytes& frame, Place place, std::uint64_t nonce) noexcept;
+  // Writes the MIC to the end of a secured frame with this body. If the cipher fails, or the nonce may have
+  // been used, the frame is left without a valid MIC and all receivers reject it. The frame must not change
+  // between begin and finish.
+  void begin_signing(const FrameBytes& frame, const Body& body, Place place,
+                     const MergeTarget& merge_target = {}) noexcept;
   void finish_signing(FrameBytes& frame) noexcept;
   // Discards the computations in progress; the next finish_signing() does nothing.
   void abandon() noexcept {
     checking_.reset();
     signing_mask_.reset();
-  }
-  void sign(FrameBytes& frame, Place place) noexcept {
-    begin_signing(frame, place);
-    finish_signing(frame);
   }
 
  private:
@@ -139,18 +133,13 @@ class FrameAuthenticator {
   };
 
   [[nodiscard]] const std::optional<security::Key>& key_of(std::uint64_t session) noexcept;
-  [[nodiscard]] std::optional<security::Key> call_key(std::uint64_t caller,
-                                                      const MergeTarget& merge_target) noexcept;
-  // In the present session.
-  [[nodiscard]] std::optional<security::Key> challenge_key(std::uint64_t nonce) noexcept;
+  [[nodiscard]] std::optional<security::Key> key_for(const Body& body,
+                                                     const MergeTarget& merge_target) noexcept;
   // AES(key, number (8) | text (up to 8, or 4 before `last`) | last (4)).
   [[nodiscard]] std::optional<security::Key> derive(const security::Key& key, std::uint64_t number,
                                                     std::string_view text, std::uint32_t last = 0) noexcept;
-  [[nodiscard]] bool may_sign(std::size_t kind, Place place) noexcept {
-    return signed_places_ != nullptr && signed_places_->take(session_, kind, place);
-  }
-  void expect(std::optional<Expected>& out, std::uint64_t nonce) noexcept;
-  // Starts the frame's MIC with this key, and returns its mask. `expected` was precomputed with that key.
+  void expect(std::optional<Expected>& out, std::uint16_t source, FrameType type, Place place) noexcept;
+  // Starts the frame's MIC with this key, and returns its mask. `expected` was precomputed for the session.
   [[nodiscard]] std::optional<security::Block> begin(const std::optional<security::Key>& key,
                                                      const std::optional<Expected>& expected,
                                                      std::span<const std::uint8_t> frame,

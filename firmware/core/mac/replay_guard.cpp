@@ -55,10 +55,8 @@ void ReplayGuard::on_sent(std::uint32_t, bool sent) noexcept {
 }
 
 void ReplayGuard::on_control(const Frame& frame, std::uint32_t, bool) noexcept {
-  const auto* join = std::get_if<Join>(&frame.body);
-  if (join != nullptr && join->wants_challenge_response && fresh_) {
-    pending_answer_ = {.id = join->origin, .nonce = join->nonce};
-  }
+  const Join* challenge = challenge_of(frame.body);
+  if (challenge != nullptr && fresh_) pending_answer_ = {.id = challenge->origin, .nonce = challenge->nonce};
 }
 
 void ReplayGuard::on_beacon(const Frame&, const Beacon& beacon) noexcept {

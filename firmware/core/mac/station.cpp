@@ -361,7 +361,7 @@ Action Station::merge_request(ClockTime timestamp) noexcept {
   phase_ = Phase::kRequesting;
   sender_ = nullptr;
   own_beacon_ = true;
-  return transmit(timestamp, kBroadcast, beacon, place_of(beacon), &others_->merge_target);
+  return transmit(timestamp, kBroadcast, beacon, place_of(beacon), others_->merge_target);
 }
 
 // All nodes that heard the other session stay silent until one of them has sent a merge request in its turn:

@@ -141,7 +141,7 @@ class Station {
   // `place`: where the frame is sent. finish_signing() adds the MIC; before a replay has been excluded, to a
   // challenge alone.
   [[nodiscard]] Action transmit(ClockTime timestamp, std::uint16_t destination, const Body& body, Place place,
-                                const MergeTarget* merge_target = nullptr) noexcept;
+                                const MergeTarget& merge_target = {}) noexcept;
   // The last timestamp on the transmit grid that is not after `latest`.
   [[nodiscard]] ClockTime timestamp_not_after(ClockTime latest) const noexcept {
     return ranging::transmit_timestamp_not_after(latest, site_.transmit_antenna_delay,
@@ -234,7 +234,6 @@ class Station {
   // Counts a frame that is not authentic.
   [[nodiscard]] bool authenticate(Accepted& frame, const Reception& reception, Place place,
                                   bool unused_slot) noexcept;
-  [[nodiscard]] bool authenticate(Accepted& frame, const Beacon& beacon, const Reception& reception) noexcept;
   // This node is synchronized, and not with a recording.
   [[nodiscard]] bool knows_time() const noexcept { return sync_.state() != SyncState::kSearching && fresh(); }
   [[nodiscard]] Trust trust_in(const Beacon& beacon, ClockTime heard) const noexcept;

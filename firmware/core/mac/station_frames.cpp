@@ -14,12 +14,6 @@ SlotKind slot_kind(const Body& body, Place place) noexcept {
   return std::holds_alternative<Final>(body) ? SlotKind::kFinal : SlotKind::kResponse;
 }
 
-// The nonce of a challenge.
-std::optional<std::uint64_t> challenge_of(const Body& body) noexcept {
-  const auto* join = std::get_if<Join>(&body);
-  return join != nullptr && join->wants_challenge_response ? std::optional(join->nonce) : std::nullopt;
-}
-
 }  // namespace
 
 bool Station::overhear(const Accepted& frame, const Reception& reception) noexcept {
@@ -154,27 +148,31 @@ bool Station::is_for_this_node(const Frame& frame) const noexcept {
 
 bool Station::authenticate(Accepted& frame, const Reception& reception, Place place,
                            bool unused_slot) noexcept {
-  if (!authenticator_.on()) {
-    if (frame.secured) ++counters_.foreign_frames;
-    return !frame.secured;
-  }
-  if (!frame.secured) {
-    ++counters_.unsecured_frames;
+  if (frame.secured != keyed()) {
+    ++(frame.secured ? counters_.foreign_frames : counters_.unsecured_frames);
     return false;
   }
-  if (const auto* beacon = std::get_if<Beacon>(&frame.body)) return authenticate(frame, *beacon, reception);
-  // Without knowing the place this node cannot verify the MIC; but another node is there.
-  if (phase_ == Phase::kSearching) coexistence_.on_traffic(reception.timestamp);
-  if (phase_ == Phase::kSearching || phase_ == Phase::kScanning) return false;
-  if (const auto nonce = challenge_of(frame.body)) {
-    if (authenticator_.fits_challenge(reception.frame, place, *nonce)) return true;
-    ++counters_.forged_frames;
+  if (!keyed()) return true;
+  const auto* beacon = std::get_if<Beacon>(&frame.body);
+  if (beacon == nullptr && (phase_ == Phase::kSearching || phase_ == Phase::kScanning)) {
+    // Without knowing the place this node cannot verify the MIC; but another node is there.
+    if (phase_ == Phase::kSearching) coexistence_.on_traffic(reception.timestamp);
     return false;
   }
-  if (authenticator_.fits(reception.frame, place)) return true;
-  ++counters_.forged_frames;
+  const Trust trust = beacon == nullptr ? Trust::kFull : trust_in(*beacon, reception.timestamp);
+  const bool request = beacon != nullptr && beacon->merge_request;
+  const Place sent_at = beacon == nullptr ? place : place_of(*beacon);
+  MergeTarget receivers;
+  if (request) receivers = {election_.session(), superframe_at(reception.timestamp)};
+  const bool fits =
+      trust != Trust::kNone && authenticator_.fits(reception.frame, frame.body, sent_at, receivers);
+  frame.unverified = fits && trust == Trust::kUnverified;
+  if (fits && !frame.unverified) return true;
+  // A merge request of this session to another one is no forgery.
+  const bool own_request = request && knows_time() && beacon->session == election_.session();
+  ++(own_request ? counters_.stale_frames : counters_.forged_frames);
   if (unused_slot && std::holds_alternative<Poll>(frame.body)) coexistence_.on_unverified_poll();
-  return false;
+  return fits;
 }
 
 Ticks Station::place_in_superframe(const Beacon& beacon) const noexcept {
@@ -202,41 +200,20 @@ Station::Trust Station::trust_in(const Beacon& beacon, ClockTime heard) const no
   return ahead >= -most ? Trust::kFull : Trust::kNone;
 }
 
-bool Station::authenticate(Accepted& frame, const Beacon& beacon, const Reception& reception) noexcept {
-  const Trust trust = trust_in(beacon, reception.timestamp);
-  bool fits = false;
-  if (trust != Trust::kNone && beacon.merge_request) {
-    fits = authenticator_.fits(reception.frame, beacon,
-                               {election_.session(), superframe_at(reception.timestamp)});
-  } else if (trust != Trust::kNone) {
-    fits = authenticator_.fits(reception.frame, beacon);
-  }
-  frame.unverified = fits && trust == Trust::kUnverified;
-  if (fits && !frame.unverified) return true;
-  // A merge request of this session to another one is no forgery.
-  const bool own_request = beacon.merge_request && knows_time() && beacon.session == election_.session();
-  ++(own_request ? counters_.stale_frames : counters_.forged_frames);
-  return fits;
-}
-
 Action Station::transmit(ClockTime timestamp, std::uint16_t destination, const Body& body, Place place,
-                         const MergeTarget* merge_target) noexcept {
+                         const MergeTarget& merge_target) noexcept {
   serialize({.sequence = sequence_++,
              .network = site_.network_id,
              .destination = destination,
              .source = site_.id,
-             .secured = authenticator_.on(),
+             .secured = keyed(),
              .body = body},
             outgoing_);
-  if (!fresh()) {
-    // A node that may hear a recording signs nothing else.
+  // A node that may hear a recording signs its challenge alone.
+  if (fresh() != (challenge_of(body) != nullptr)) {
+    authenticator_.begin_signing(outgoing_, body, place, merge_target);
+  } else {
     authenticator_.abandon();
-    if (const auto nonce = challenge_of(body))
-      authenticator_.begin_signing_challenge(outgoing_, place, *nonce);
-  } else if (merge_target != nullptr) {
-    authenticator_.begin_signing(outgoing_, place, *merge_target);
-  } else if (authenticator_.on()) {
-    authenticator_.begin_signing(outgoing_, place);
   }
   return {.kind = Action::Kind::kTransmit,
           .slot = slot_kind(body, place),

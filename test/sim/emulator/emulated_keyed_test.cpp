@@ -106,7 +106,7 @@ TEST(ShippedImageWithAKey, AnswersNoForgedPollAndCountsEach) {
     poll.exchange = static_cast<std::uint16_t>(poll.exchange + ahead);
     now.body = poll;
     mac::FrameBytes made = mac::serialize(now);
-    other.sign(made, {poll.superframe, poll.slot});
+    sign(other, made, poll, {poll.superframe, poll.slot});
     std::vector<std::uint8_t> bytes(made.bytes().begin(), made.bytes().end());
     if (sent % 3 == 0) bytes = last_bytes;
     if (sent % 3 == 1)
