@@ -225,8 +225,6 @@ class Station {
   bool take_beacon(const Accepted& frame, const Beacon& beacon, const Reception& reception) noexcept;
   // Of a session that has to join this one or fall silent. Returns as take_beacon().
   bool request_merge(const Beacon& beacon, ClockTime heard, bool unverified) noexcept;
-  bool take_time(const BeaconReception& timestamp, std::uint64_t session, Verdict verdict,
-                 bool persuasive) noexcept;
   void take_content(const Frame& frame, const Beacon& beacon, bool adopted) noexcept;
   // A frame of this network at an unexpected time.
   void on_stray(const Frame& frame) noexcept;
@@ -238,9 +236,6 @@ class Station {
   [[nodiscard]] bool knows_time() const noexcept { return sync_.state() != SyncState::kSearching && fresh(); }
   [[nodiscard]] Trust trust_in(const Beacon& beacon, ClockTime heard) const noexcept;
 
-  [[nodiscard]] Ticks place_in_superframe(const Beacon& beacon) const noexcept;
-  // How far the beacon's timeline is ahead of this node's.
-  [[nodiscard]] Ticks ahead_by(const Beacon& beacon, ClockTime heard) const noexcept;
   // The superframe at `t` on this node's timeline.
   [[nodiscard]] std::uint32_t superframe_at(ClockTime t) const noexcept {
     return static_cast<std::uint32_t>(sync_.network_time(t).count() / superframe_.duration().count());

@@ -38,16 +38,17 @@ bool Station::take_beacon(const Accepted& frame, const Beacon& beacon, const Rec
     ++counters_.stale_frames;
     return false;
   }
-  const BeaconReception timestamp{.superframe = beacon.superframe,
-                                  .place = place_in_superframe(beacon),
-                                  .heard = reception.timestamp,
-                                  .offset_ppb = reception.quality.clock_offset_ppb,
-                                  .hop = beacon.hop,
-                                  .age = beacon.age};
   const bool searching = sync_.state() == SyncState::kSearching;
-  const Ticks ahead = searching ? Ticks(0) : ahead_by(beacon, reception.timestamp);
-  const bool requested = authenticator_.on() && beacon.merge_request;
-  const std::uint64_t session = election_.session();
+  const Ticks ahead = searching ? Ticks(0) : sync_.ahead_by(beacon, reception.timestamp);
+  const bool requested = keyed() && beacon.merge_request;
+  // The session that this node may leave: some of its nodes may have missed the merge request.
+  std::optional<Others> former;
+  if (requested) {
+    const std::uint32_t next = number_ + (phase_ == Phase::kScanning ? 0U : 1U);
+    former = Others{.shared = sync_.start(next) + superframe_.shared(),
+                    .merge_target = {election_.session(), next},
+                    .left = election_.beaconers()};
+  }
   const Verdict verdict = frame.unverified ? coexistence_.judge_unverified(frame.source, beacon)
                           : requested      ? coexistence_.judge_merge_request(frame.source, beacon, ahead)
                                       : coexistence_.judge(frame.source, beacon, ahead, reception.timestamp);
@@ -70,23 +71,24 @@ bool Station::take_beacon(const Accepted& frame, const Beacon& beacon, const Rec
     case Verdict::kAdopt:
       break;
   }
-  // Some nodes may have missed the merge request.
-  std::optional<Others> former;
-  if (requested && verdict == Verdict::kAdopt) {
-    const std::uint32_t next = number_ + (phase_ == Phase::kScanning ? 0U : 1U);
-    former = Others{.shared = sync_.start(next) + superframe_.shared(),
-                    .merge_target = {session, next},
-                    .left = site_.schedule->backup_ids_count + 1U};
-  }
-  // A beacon later than its place may have been delayed by an attacker.
-  if (!take_time(timestamp, beacon.session, verdict, !authenticator_.on() || ahead >= Ticks(0))) {
-    ++counters_.bad_stamps;
-    return false;
+  const bool adopts = verdict == Verdict::kAdopt;
+  if (adopts) {
+    if (!fresh()) replay_guard_.forget();
+    authenticator_.enter(beacon.session);
+    sync_.adopt(beacon, reception);
+    others_ = former;
+  } else {
+    sync_.follow();
+    // A beacon later than its place may have been delayed by an attacker.
+    const bool persuasive = !keyed() || ahead >= Ticks(0);
+    if (!sync_.on_beacon(beacon, reception, verdict == Verdict::kSwitch, persuasive)) {
+      ++counters_.bad_stamps;
+      return false;
+    }
   }
   ++counters_.beacons_received;
-  if (verdict == Verdict::kAdopt) others_ = former;
-  take_content(frame, beacon, verdict == Verdict::kAdopt);
-  if (phase_ == Phase::kScanning && verdict != Verdict::kAdopt) return false;
+  take_content(frame, beacon, adopts);
+  if (phase_ == Phase::kScanning && !adopts) return false;
   number_ = beacon.superframe;
   next_ = beacon.shared ? Next::kSlots : Next::kShared;
   scanning_ = beacon.quiet && !beacon.shared;
@@ -94,7 +96,7 @@ bool Station::take_beacon(const Accepted& frame, const Beacon& beacon, const Rec
 }
 
 bool Station::request_merge(const Beacon& beacon, ClockTime heard, bool unverified) noexcept {
-  others_ = Others{.shared = heard - place_in_superframe(beacon) + superframe_.shared(),
+  others_ = Others{.shared = heard - superframe_.rmarker(beacon) + superframe_.shared(),
                    .merge_target = {beacon.session, beacon.superframe}};
   if (sync_.state() == SyncState::kSearching) return false;
   // The other session may be a recording, and no expected frames are missing.
@@ -102,18 +104,6 @@ bool Station::request_merge(const Beacon& beacon, ClockTime heard, bool unverifi
   send_merge_requests(1, only_requester_silent);
   return phase_ == Phase::kScanning &&
          (!only_requester_silent || requests_within(heard, sync_.start(number_)));
-}
-
-bool Station::take_time(const BeaconReception& timestamp, std::uint64_t session, Verdict verdict,
-                        bool persuasive) noexcept {
-  if (verdict == Verdict::kAdopt) {
-    if (!fresh()) replay_guard_.forget();
-    authenticator_.enter(session);
-    sync_.adopt(timestamp);
-    return true;
-  }
-  sync_.follow();
-  return sync_.on_beacon(timestamp, verdict == Verdict::kSwitch, persuasive);
 }
 
 void Station::take_content(const Frame& frame, const Beacon& beacon, bool adopted) noexcept {
@@ -175,15 +165,6 @@ bool Station::authenticate(Accepted& frame, const Reception& reception, Place pl
   return fits;
 }
 
-Ticks Station::place_in_superframe(const Beacon& beacon) const noexcept {
-  if (beacon.merge_request) return beacon.place;
-  return (beacon.shared ? superframe_.shared() : superframe_.beacon()) + Ticks(beacon.tx_offset_dtu);
-}
-
-Ticks Station::ahead_by(const Beacon& beacon, ClockTime heard) const noexcept {
-  return sync_.start(beacon.superframe) + place_in_superframe(beacon) - heard;
-}
-
 // Once this node knows the time, a replayed beacon of its own session is late against this node's clock. A
 // beacon of another timeline may be a replay, unless it is a merge request to this session: it then came in
 // this node's own shared slot, and its MIC was made for that slot.
@@ -191,8 +172,8 @@ Station::Trust Station::trust_in(const Beacon& beacon, ClockTime heard) const no
   if (!knows_time()) return beacon.merge_request ? Trust::kNone : Trust::kFull;
   const std::uint32_t number = beacon.merge_request ? superframe_at(heard) : beacon.superframe;
   const Ticks most = superframe_.guard() + sync_.margin(number);
-  const Ticks ahead =
-      beacon.merge_request ? sync_.start(number) + superframe_.shared() - heard : ahead_by(beacon, heard);
+  const Ticks ahead = beacon.merge_request ? sync_.start(number) + superframe_.shared() - heard
+                                           : sync_.ahead_by(beacon, heard);
   const bool aligned = ahead <= most && ahead >= -most;
   if (beacon.merge_request) return aligned ? Trust::kFull : Trust::kNone;
   if (beacon.session != election_.session() || (!aligned && beacon.master != election_.master()))

@@ -91,6 +91,11 @@ class Superframe {
     return slots_start_ + static_cast<std::int64_t>(slot) * tag_slot_ + first_frame_;
   }
 
+  // The same for a beacon, wherever it was sent.
+  [[nodiscard]] Ticks rmarker(const Beacon& of) const noexcept {
+    return of.merge_request ? of.place : (of.shared ? shared() : beacon()) + Ticks(of.tx_offset_dtu);
+  }
+
   // The turn of the shared slot: 0: open to all; n: of the back-up of rank n, from 1.
   [[nodiscard]] std::size_t shared_turn(std::uint32_t superframe) const noexcept {
     return superframe % (backups_ + 1);

@@ -14,7 +14,7 @@ constexpr float kRestartSigma_ticks = 64'000.0F;
 
 // The error that a relay adds to a beacon: its receive timestamp's at each hop, and its clock's random walk
 // (as the tracker's: 0.1 ppm in a second) since it received the beacon.
-float relay_sigma_ticks(const BeaconReception& beacon, Ticks duration) noexcept {
+float relay_sigma_ticks(const Beacon& beacon, Ticks duration) noexcept {
   constexpr float kBeaconSigma_ticks = 13.0F;
   constexpr float kWalk_ticks = 6'390.0F / 1.732F;
   const float silent_s = static_cast<float>(beacon.age) * static_cast<float>(duration.count()) /
@@ -61,7 +61,7 @@ Ticks Synchronizer::master_time(std::uint32_t number) const noexcept {
   return std::int64_t{static_cast<std::int32_t>(number - base_)} * superframe_.duration();
 }
 
-void Synchronizer::adopt(const BeaconReception& beacon) noexcept {
+void Synchronizer::adopt(const Beacon& beacon, const Reception& reception) noexcept {
   leading_ = false;
   base_ = last_heard_ = beacon.superframe;
   // A relay's crystal is similar to the master's, no more: the best estimate is half the relay's offset.
@@ -70,21 +70,24 @@ void Synchronizer::adopt(const BeaconReception& beacon) noexcept {
   // Without the carrier: 5 sigma are two crystals at opposite limits of 20 ppm.
   constexpr std::int32_t kCrystalSigma_ppb = 8'000;
   const bool relayed = beacon.hop != 0;
-  const std::int32_t offset_ppb = beacon.offset_ppb.value_or(0);
-  tracker_.seed(beacon.place, beacon.heard, relayed ? offset_ppb / 2 : offset_ppb,
-                !beacon.offset_ppb ? kCrystalSigma_ppb
-                : relayed          ? kRelaySigma_ppb
-                                   : kCarrierSigma_ppb);
+  const auto& carrier_ppb = reception.quality.clock_offset_ppb;
+  const std::int32_t offset_ppb = carrier_ppb.value_or(0);
+  tracker_.seed(superframe_.rmarker(beacon), reception.timestamp, relayed ? offset_ppb / 2 : offset_ppb,
+                !carrier_ppb ? kCrystalSigma_ppb
+                : relayed    ? kRelaySigma_ppb
+                             : kCarrierSigma_ppb);
   enter(SyncState::kLocked);
 }
 
-bool Synchronizer::on_beacon(const BeaconReception& beacon, bool other_path, bool persuasive) noexcept {
+bool Synchronizer::on_beacon(const Beacon& beacon, const Reception& reception, bool other_path,
+                             bool persuasive) noexcept {
   constexpr std::uint32_t kMisfitsBelieved = 3;
   if (other_path) tracker_.widen(kPathSigma_ticks);
   const float sigma = relay_sigma_ticks(beacon, superframe_.duration());
-  if (!tracker_.update(master_time(beacon.superframe) + beacon.place, beacon.heard, sigma)) {
+  const Ticks sent = master_time(beacon.superframe) + superframe_.rmarker(beacon);
+  if (!tracker_.update(sent, reception.timestamp, sigma)) {
     if (!persuasive || ++misfits_ < kMisfitsBelieved) return false;
-    adopt(beacon);
+    adopt(beacon, reception);
     return true;
   }
   last_heard_ = beacon.superframe;

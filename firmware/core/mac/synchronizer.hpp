@@ -2,11 +2,11 @@
 #pragma once
 
 #include <cstdint>
-#include <optional>
 
 #include "firmware/core/mac/clock_tracker.hpp"
+#include "firmware/core/mac/frame.hpp"
+#include "firmware/core/mac/step.hpp"
 #include "firmware/core/mac/superframe.hpp"
-#include "firmware/core/ranging/device_time.hpp"
 
 namespace groma::mac {
 
@@ -14,18 +14,6 @@ enum class SyncState : std::uint8_t {
   kSearching,  // time not known
   kLocked,     // the last beacon was heard
   kCoasting,   // predicted by the clock filter alone
-};
-
-// A received beacon.
-struct BeaconReception {
-  std::uint32_t superframe = 0;
-  Ticks place{};  // of its RMARKER from the superframe's start, in network time
-  ClockTime heard{};
-  // The sender's clock against this node's, from the carrier; nothing: the radio does not measure it.
-  std::optional<std::int32_t> offset_ppb{};
-  // Of the sender's knowledge of the network time.
-  std::uint8_t hop = 0;
-  std::uint8_t age = 0;
 };
 
 class Synchronizer {
@@ -45,11 +33,11 @@ class Synchronizer {
 
   // Initializes the time from the first beacon of a timeline. Its sender may be a relay: the carrier then
   // gives the relay's clock, which may be some ppm off the network's.
-  void adopt(const BeaconReception& beacon) noexcept;
+  void adopt(const Beacon& beacon, const Reception& reception) noexcept;
   // Updates with a further beacon. `other_path`: its sender, and so its flight time, differs from those
   // before. Returns false and ignores the beacon if it does not fit; but a `persuasive` third misfit in a row
   // re-initializes the time.
-  bool on_beacon(const BeaconReception& beacon, bool other_path, bool persuasive = true) noexcept;
+  bool on_beacon(const Beacon& beacon, const Reception& reception, bool other_path, bool persuasive) noexcept;
   // The beacon due in the present superframe did not come.
   void on_beacon_missed() noexcept;
   // Superframe `number` begins. Gives up coasting if the uncertainty exceeds the guard, or after 100
@@ -64,6 +52,10 @@ class Synchronizer {
   // sigma).
   [[nodiscard]] ClockTime start(std::uint32_t number) const noexcept;
   [[nodiscard]] Ticks margin(std::uint32_t number) const noexcept;
+  // How far the timeline of a beacon heard at `heard` is ahead of this node's.
+  [[nodiscard]] Ticks ahead_by(const Beacon& beacon, ClockTime heard) const noexcept {
+    return start(beacon.superframe) + superframe_.rmarker(beacon) - heard;
+  }
   // The network time when this node's clock shows `local`, since the start of superframe 0. Continuous over a
   // change of master.
   [[nodiscard]] Ticks network_time(ClockTime local) const noexcept;
