@@ -35,7 +35,7 @@ std::optional<Action> Anchor::slot_action(ClockTime now) noexcept {
   }
   constexpr std::uint32_t kTooMany = 2;
   const bool idle = ++polls_missing_ > kTooMany;
-  on_lack(idle, idle);
+  coexistence().on_lack(idle, idle);
   end_superframe();
   next_slot_ = 0;
   return std::nullopt;
@@ -156,8 +156,8 @@ std::size_t Anchor::precompute() noexcept {
   if (!in_slots()) prepare_control();
   if (!in_slots() || phase_ != Phase::kPoll) return 0;
   if (keyed()) {
-    expect_heard(expected_tag(), FrameType::kPoll, slot_place());
-    expect_said(FrameType::kResponse, slot_place());
+    authenticator().expect_received(expected_tag(), FrameType::kPoll, slot_place());
+    authenticator().expect_sent(site().id, FrameType::kResponse, slot_place());
   }
   return superframe().on_air(kResponseBytes);
 }

@@ -70,7 +70,7 @@ Step Station::resume(ClockTime now) noexcept {
   if (sync_.state() == SyncState::kSearching) {
     begin_search(now);
   } else {
-    if (phase_ == Phase::kBeacon && !own_beacon_) miss();
+    if (phase_ == Phase::kBeacon && !election_.leads()) miss();
     release_sender(false);
     const Ticks elapsed = now - sync_.start(number_);
     election_.on_absence(number_ +
@@ -86,7 +86,6 @@ void Station::on_clock_restart() noexcept {
 }
 
 void Station::release_sender(bool sent) noexcept {
-  own_beacon_ = false;
   if (sender_ != nullptr) std::exchange(sender_, nullptr)->on_sent(number_, sent);
 }
 
@@ -112,8 +111,8 @@ std::optional<Action> Station::control_received(const Reception& reception) noex
 }
 
 void Station::control_timeout() noexcept {
-  if (phase_ == Phase::kBeacon && election_.parent_due(number_, false)) miss();
-  if (phase_ == Phase::kShared && election_.parent_due(number_, true)) miss();
+  const bool shared = phase_ == Phase::kShared;
+  if ((shared || phase_ == Phase::kBeacon) && election_.parent_due(number_, shared)) miss();
 }
 
 void Station::miss() noexcept {
@@ -127,20 +126,23 @@ void Station::begin_search(ClockTime now) noexcept {
   sync_.search();
   coexistence_.search(now);
   others_.reset();
+  sender_ = nullptr;
   phase_ = Phase::kSearching;
 }
 
 void Station::prepare_control() noexcept {
   if (!keyed()) return;
   if (phase_ == Phase::kBeacon) {
-    if (!own_beacon_) expect_heard(election_.master(), FrameType::kBeacon, control_place());
+    if (!election_.leads())
+      authenticator_.expect_received(election_.master(), FrameType::kBeacon, control_place());
     if (fresh()) {  // a challenge has a key of its own
-      expect_said(election_.has_shared_turn(number_) ? FrameType::kBeacon : FrameType::kJoin,
-                  {number_, Place::kShared});
+      const bool relays = election_.has_shared_turn(number_);
+      authenticator_.expect_sent(site_.id, relays ? FrameType::kBeacon : FrameType::kJoin,
+                                 {number_, Place::kShared});
     }
   } else if (const std::size_t turn = superframe_.shared_turn(number_);
              phase_ == Phase::kShared && turn != 0) {
-    expect_heard(site_.schedule->backup_ids[turn - 1], FrameType::kBeacon, control_place());
+    authenticator_.expect_received(site_.schedule->backup_ids[turn - 1], FrameType::kBeacon, control_place());
   }
 }
 
@@ -221,12 +223,14 @@ std::optional<Action> Station::beacon_slot(ClockTime now) noexcept {
   if (duty == Duty::kSilence || (scanning_ && !election_.leads())) return scan(now);
   if (duty == Duty::kLongSilence) return scan(now, 2);
   const ClockTime due = sync_.start(number_) + superframe_.beacon();
-  if (scanning_ && requests_beside(due)) return scan(now);
+  // A merge request this close to the beacon leaves no time for the beacon.
+  const Ticks room = superframe_.phy().air_time(superframe_.control_bytes()) + kToGetReady;
+  if (scanning_ && requests_within(due - room, due + room)) return scan(now);
+  phase_ = Phase::kBeacon;
   if (!ahead(due, now)) {
-    if (election_.parent_due(number_, false)) miss();
+    control_timeout();
     return std::nullopt;
   }
-  phase_ = Phase::kBeacon;
   if (election_.leads()) return send_beacon(due, false);
   return listen(SlotKind::kBeacon, due, superframe_.control_bytes(), sync_.margin(number_));
 }
@@ -245,11 +249,11 @@ std::optional<Action> Station::scan(ClockTime now, std::uint32_t superframes) no
 std::optional<Action> Station::shared_slot(ClockTime now) noexcept {
   if (scanning_) return scan(now);
   const ClockTime due = sync_.start(number_) + superframe_.shared();
+  phase_ = Phase::kShared;
   if (!ahead(due, now)) {
-    if (election_.parent_due(number_, true)) miss();
+    control_timeout();
     return std::nullopt;
   }
-  phase_ = Phase::kShared;
   if (timed(number_)) {
     const ClockTime timestamp = timestamp_not_after(due);
     if (fresh() && election_.has_shared_turn(number_)) {
@@ -272,7 +276,6 @@ std::optional<Action> Station::from_channels(ClockTime timestamp, bool own_turn)
     const auto outgoing = own_turn ? channel->own_turn(number_) : channel->open_slot(number_);
     if (!outgoing) continue;
     sender_ = channel;
-    own_beacon_ = false;
     return transmit(timestamp, outgoing->destination, outgoing->body, {number_, Place::kShared});
   }
   return std::nullopt;
@@ -298,8 +301,6 @@ Action Station::send_beacon(ClockTime due, bool shared) noexcept {
   Beacon beacon = make_beacon(timestamp - due, shared);
   beacon.quiet = shared ? coexistence_.ask_for_silence() : scanning_ && coexistence_.quiet();
   for (ControlChannel* channel : channels()) channel->on_beacon_out(beacon, election_.leads());
-  sender_ = nullptr;
-  own_beacon_ = true;
   return transmit(timestamp, kBroadcast, beacon, place_of(beacon));
 }
 
@@ -308,18 +309,14 @@ Action Station::send_beacon(ClockTime due, bool shared) noexcept {
 // Sends merge requests in the shared slots of the other session, in this node's turns, while all of its own
 // session are silent; until the other session's next open slot is over.
 std::optional<Action> Station::request_in_turn(ClockTime now) noexcept {
-  const bool quiet = phase_ == Phase::kScanning || phase_ == Phase::kRequesting;
-  if (next_ != Next::kBeacon || !quiet) return std::nullopt;
+  if (next_ != Next::kBeacon || phase_ != Phase::kScanning) return std::nullopt;
   while (others_) {
     const ClockTime timestamp = timestamp_not_after(others_->shared);
     if (ahead(timestamp, now) && sure(number_) &&
         coexistence_.may_request_merge(others_->merge_target.superframe)) {
       const ClockTime ready = timestamp - superframe_.phy().before_rmarker() - kToGetReady;
       if (ready - kToGetReady >= sync_.start(number_)) return std::nullopt;
-      if (ready > now + kToGetReady) {
-        phase_ = Phase::kScanning;
-        return Action{.kind = Action::Kind::kListenNow, .until = ready};
-      }
+      if (ready > now + kToGetReady) return Action{.kind = Action::Kind::kListenNow, .until = ready};
       const Action request = merge_request(timestamp);
       next_of_others();
       return request;
@@ -327,12 +324,6 @@ std::optional<Action> Station::request_in_turn(ClockTime now) noexcept {
     next_of_others();
   }
   return std::nullopt;
-}
-
-// A merge request this close to the beacon leaves no time for the beacon.
-bool Station::requests_beside(ClockTime due) const noexcept {
-  const Ticks room = superframe_.phy().air_time(superframe_.control_bytes()) + kToGetReady;
-  return requests_within(due - room, due + room);
 }
 
 bool Station::requests_within(ClockTime from, ClockTime to) const noexcept {
@@ -358,9 +349,6 @@ Action Station::merge_request(ClockTime timestamp) noexcept {
   beacon.superframe = static_cast<std::uint32_t>(time / duration);
   beacon.place = Ticks(time % duration);
   beacon.merge_request = true;
-  phase_ = Phase::kRequesting;
-  sender_ = nullptr;
-  own_beacon_ = true;
   return transmit(timestamp, kBroadcast, beacon, place_of(beacon), others_->merge_target);
 }
 

@@ -125,13 +125,6 @@ class Station {
   // Handles a frame heard in a tag slot to which it does not belong. Returns true if the timeline changed or
   // was lost: continue with plan().
   [[nodiscard]] bool overhear(const Accepted& frame, const Reception& reception) noexcept;
-  // Reports whether expected frames are missing. `idle`: no frame came at all, so a scan would disturb
-  // nothing.
-  void on_lack(bool lacking, bool idle) noexcept { coexistence_.on_lack(lacking, idle); }
-  // Neither a beacon nor an answer came: the other nodes may keep radio silence on purpose.
-  void on_silence() noexcept {
-    if (sync_.state() == SyncState::kCoasting) coexistence_.on_silence();
-  }
 
   // Returns a frame that belongs to this network, is addressed to this node, to all or to relays, and has the
   // MIC that the network key requires at `place`, where it was heard. Other frames are counted, and nothing
@@ -152,14 +145,7 @@ class Station {
 
   // Frames carry MICs.
   [[nodiscard]] bool keyed() const noexcept { return authenticator_.on(); }
-  // Precomputes cipher blocks for the frame most likely received, or sent, next. Call in idle time.
-  // prepare_control() does so for the beacon slot and the shared slot.
-  void expect_heard(std::uint16_t source, FrameType type, Place place) noexcept {
-    authenticator_.expect_received(source, type, place);
-  }
-  void expect_said(FrameType type, Place place) noexcept {
-    authenticator_.expect_sent(site_.id, type, place);
-  }
+  // Precomputes cipher blocks for the beacon slot and the shared slot. Call in idle time.
   void prepare_control() noexcept;
 
   [[nodiscard]] ClockTime poll_due(std::uint32_t superframe, std::size_t slot) const noexcept {
@@ -176,12 +162,14 @@ class Station {
   [[nodiscard]] const Site& site() const noexcept { return site_; }
   [[nodiscard]] groma_Counters& counters() noexcept { return counters_; }
   [[nodiscard]] const Health& health() const noexcept { return health_; }
+  [[nodiscard]] Coexistence& coexistence() noexcept { return coexistence_; }
+  [[nodiscard]] FrameAuthenticator& authenticator() noexcept { return authenticator_; }
   // Follows the beacons. At the master a channel may change it in on_control() and on_beacon_out().
   [[nodiscard]] SlotMap& slots() noexcept { return slots_; }
   [[nodiscard]] const SlotMap& slots() const noexcept { return slots_; }
 
  private:
-  enum class Phase : std::uint8_t { kSearching, kScanning, kRequesting, kBeacon, kShared, kSlots };
+  enum class Phase : std::uint8_t { kSearching, kScanning, kBeacon, kShared, kSlots };
   enum class Next : std::uint8_t { kBeacon, kShared, kSlots };
   // How far to trust a beacon whose MIC is valid.
   enum class Trust : std::uint8_t { kNone, kUnverified, kFull };
@@ -216,7 +204,6 @@ class Station {
   [[nodiscard]] std::optional<Action> request_in_turn(ClockTime now) noexcept;
   // A shared slot of the others in which this node may send a merge request begins between these instants.
   [[nodiscard]] bool requests_within(ClockTime from, ClockTime to) const noexcept;
-  [[nodiscard]] bool requests_beside(ClockTime due) const noexcept;
   void next_of_others() noexcept;
   [[nodiscard]] Action merge_request(ClockTime timestamp) noexcept;
   void send_merge_requests(std::uint32_t rounds, bool only_requester_silent) noexcept;
@@ -260,7 +247,6 @@ class Station {
 
   Phase phase_ = Phase::kSearching;
   Next next_ = Next::kBeacon;
-  bool own_beacon_ = false;  // being sent
   // Another session, the target of merge requests: its next shared slot, and the number of its superframe.
   struct Others {
     ClockTime shared;

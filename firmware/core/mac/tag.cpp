@@ -20,7 +20,7 @@ void Tag::forget_exchanges() noexcept {
 std::optional<Action> Tag::slot_action(ClockTime now) noexcept {
   const std::uint32_t superframe = superframe_number();
   end_superframe();
-  if (membership_.outdated(superframe)) on_lack(false, true);
+  if (membership_.outdated(superframe)) coexistence().on_lack(false, true);
   const auto slot = has_lent() ? std::nullopt : membership_.slot(superframe);
   if (!slot || !ahead(poll_due(superframe, *slot), now) || !sure(superframe)) return std::nullopt;
   return poll(superframe, *slot);
@@ -108,9 +108,10 @@ std::size_t Tag::precompute() noexcept {
   if (!in_slots()) {
     prepare_control();
     const auto slot = before_slots() ? membership_.slot(superframe_number()) : std::nullopt;
-    if (slot) expect_said(FrameType::kPoll, {superframe_number(), static_cast<std::uint8_t>(*slot)});
+    const auto index = static_cast<std::uint8_t>(slot.value_or(0));
+    if (slot) authenticator().expect_sent(site().id, FrameType::kPoll, {superframe_number(), index});
   } else if (phase_ == Phase::kResponses) {
-    expect_heard(current().legs[window_].anchor, FrameType::kResponse, slot_place());
+    authenticator().expect_received(current().legs[window_].anchor, FrameType::kResponse, slot_place());
   }
   return 0;
 }
@@ -167,9 +168,9 @@ void Tag::watch_answers() noexcept {
   constexpr std::uint8_t kAlone = 4;
   unanswered_ =
       answers != 0 ? std::uint8_t{0} : static_cast<std::uint8_t>(std::min(unanswered_ + 1, int{kAlone}));
-  on_lack(poor && was_poor_, unanswered_ == kAlone);
+  coexistence().on_lack(poor && was_poor_, unanswered_ == kAlone);
   was_poor_ = poor;
-  if (answers == 0) on_silence();
+  if (answers == 0 && sync().state() == SyncState::kCoasting) coexistence().on_silence();
   usual_answers_ = std::max<std::uint8_t>(answers, usual_answers_ == 0 ? 0 : usual_answers_ - 1);
 }
 
