@@ -319,6 +319,35 @@ TEST(Membership, AStartingAnchorBecomesKnownToTheTagsInReach) {
   EXPECT_LE(cells.until([&] { return knows(late, 900); }), 256U + 16U);
 }
 
+// In the open slots of a back-up that has just started.
+TEST(Membership, ARelayedRequestGoesBeforeAnAnnouncementAndNoneIsForgotten) {
+  const auto schedule = schedule_with({1}, 2, {102});
+  for (std::uint16_t id = 200; id < 260; ++id) {
+    SlotMap slots(schedule);
+    groma_Schedule own = schedule;
+    own.backup_ids[0] = id;
+    AnchorMembership anchor(id, own, slots);
+    constexpr std::uint32_t kAsked = 5;  // about when it announces itself
+    std::vector<std::uint32_t> relays;
+    std::size_t announcements = 0;
+    for (std::uint32_t number = 0; number < 200; ++number) {
+      const Join request{.origin = 1, .nonce = 9, .tag = true, .wants_slot = true};
+      if (number == kAsked) anchor.on_control({.source = 1, .body = request}, number, false);
+      const auto out = anchor.open_slot(number);
+      if (!out) continue;
+      anchor.on_sent(number, true);
+      if (std::get<Join>(out->body).origin == id) {
+        ++announcements;
+      } else {
+        relays.push_back(number);
+      }
+    }
+    ASSERT_EQ(relays.size(), 2U) << id;
+    EXPECT_LE(relays[0], kAsked + 1) << id;
+    EXPECT_EQ(announcements, 3U) << id;
+  }
+}
+
 TEST(Membership, PolledAnchorsDoNotCrowdTheOpenSlots) {
   Cells cells(schedule_with({1}, 1, {}, 60));
   cells.add_tag(1);

@@ -25,7 +25,7 @@ STATION = "firmware/core/mac/station_frames.cpp"
 ATTACK_TEST = ["test/firmware/attack_test.cpp"]
 ANCHOR_SET_TEST = ["test/firmware/anchor_set_test.cpp"]
 SLOTS_TEST = ["test/firmware/slot_map_test.cpp"]
-QUEUE_TEST = ["test/firmware/open_slot_queue_test.cpp"]
+REPEATED_JOIN_TEST = ["test/firmware/repeated_join_test.cpp"]
 MEMBERSHIP_TEST = ["test/firmware/membership_test.cpp"]
 CODEC_TEST = ["test/proto/frame_codec_test.cpp"]
 CAN_DRIVER = "firmware/core/mcp2518fd/driver.hpp"
@@ -106,9 +106,9 @@ MUTATIONS = [
     ("slots: a new master assigns free slots without the pause", "firmware/core/mac/slot_map.cpp", "    lease.vacant = 0;\n", "", SLOTS_TEST),
     ("slots: a tag that never polls keeps its slot", "firmware/core/mac/slot_map.cpp", "lease.awaited && lease.unheard >= kFirstLease", "false", SLOTS_TEST),
     ("slots: lease never expires", "firmware/core/mac/slot_map.cpp", "lease.heard && lease.unheard >= kLease", "false", SLOTS_TEST),
-    ("open slots: no back-off", "firmware/core/mac/open_slot_queue.cpp", "  p.wait = draw(purpose, number);\n}\n\nstd::optional<Join> OpenSlotQueue::take", "p.wait = 0;", QUEUE_TEST),
-    ("open slots: all nodes draw the same back-off", "firmware/core/mac/open_slot_queue.cpp", "(std::uint32_t{id_} << 16 | std::uint32_t{id_} >> 3)", "0U", QUEUE_TEST),
-    ("membership: back-ups relay no JOIN", "firmware/core/mac/membership.cpp", "  queue_.want(Purpose::kPassOn, join, kPassOn, number);\n", "", MEMBERSHIP_TEST),
+    ("open slots: no back-off", "firmware/core/mac/repeated_join.cpp", "  wait_ = draw(number);\n  Join join", "  wait_ = 0;\n  Join join", REPEATED_JOIN_TEST),
+    ("open slots: all nodes draw the same back-off", "firmware/core/mac/repeated_join.cpp", "(std::uint32_t{id_} << 16 | std::uint32_t{id_} >> 3)", "0U", REPEATED_JOIN_TEST),
+    ("membership: back-ups relay no JOIN", "firmware/core/mac/membership.cpp", "  relayed_.want(join, kPassOn, number);\n", "", MEMBERSHIP_TEST),
     ("membership: a tag that left still polls", "firmware/core/mac/membership.hpp", "leaving_ ? std::nullopt : slots_.valid_slot_of(owner_, number)", "slots_.valid_slot_of(owner_, number)", MEMBERSHIP_TEST),
     ("slots: the count of a former timeline outranks the followed one", "firmware/core/mac/slot_map.cpp", "!adopted && is_late(origin, origin_)", "is_late(origin, origin_)", SLOTS_TEST),
     ("mac: receiver enabled without the preamble's length", STATION, "due - phy.before_rmarker() - guard", "due - guard", MAC_TEST),

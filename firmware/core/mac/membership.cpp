@@ -22,11 +22,6 @@ constexpr std::uint32_t kRemindEach = 256;  // superframes
 // In superframes: after this time the tag has repeated its request itself.
 constexpr std::uint32_t kPassedOnWithin = 32;
 
-std::optional<ControlChannel::Outgoing> outgoing(const std::optional<Join>& join) noexcept {
-  if (!join) return std::nullopt;
-  return ControlChannel::Outgoing{.body = *join};
-}
-
 }  // namespace
 
 // ---- the tag --------------------------------------------------------------------------------------------
@@ -37,17 +32,13 @@ TagMembership::TagMembership(std::uint16_t id, const groma_Schedule& schedule, c
       owner_(lender != kNobody ? lender : id),
       slots_(slots),
       anchors_(anchors_of(schedule)),
-      queue_(id) {}
+      join_(id, 1) {}
 
 void TagMembership::leave() noexcept {
   if (leaving_) return;
   leaving_ = true;
-  queue_.settle(Purpose::kJoin);
-  queue_.want(Purpose::kLeave, {.origin = id_, .tag = true, .leaving = true}, kAnnounceLeaving, 0);
-}
-
-std::optional<ControlChannel::Outgoing> TagMembership::open_slot(std::uint32_t number) noexcept {
-  return outgoing(queue_.turn(number));
+  join_.settle();
+  join_.want({.origin = id_, .tag = true, .leaving = true}, kAnnounceLeaving, 0);
 }
 
 void TagMembership::on_control(const Frame& frame, std::uint32_t /*number*/, bool /*leading*/) noexcept {
@@ -60,12 +51,10 @@ void TagMembership::on_control(const Frame& frame, std::uint32_t /*number*/, boo
 void TagMembership::on_beacon(const Frame& frame, const Beacon& beacon) noexcept {
   anchors_.hear(frame.source);
   const bool homeless = !slots_.slot_of(owner_);
-  if (leaving_) {
-    if (homeless) queue_.settle(Purpose::kLeave);
-  } else if (homeless && !borrows()) {
-    queue_.want(Purpose::kJoin, {.origin = id_, .tag = true, .wants_slot = true}, kAsk, beacon.superframe);
-  } else {
-    queue_.settle(Purpose::kJoin);
+  if (leaving_ ? homeless : !homeless || borrows()) {
+    join_.settle();
+  } else if (!leaving_) {
+    join_.want({.origin = id_, .tag = true, .wants_slot = true}, kAsk, beacon.superframe);
   }
 }
 
@@ -76,14 +65,15 @@ AnchorMembership::AnchorMembership(std::uint16_t id, const groma_Schedule& sched
       beaconer_(rank_of(schedule, id).has_value()),
       listed_(std::count(schedule.anchor_ids, schedule.anchor_ids + schedule.anchor_ids_count, id) != 0),
       slots_(slots),
-      queue_(id) {}
+      announcement_(id, 3),
+      relayed_(id, 2) {}
 
 void AnchorMembership::on_poll(std::uint16_t tag, std::size_t slot, bool named) noexcept {
   slots_.hear(tag, slot);
   // The polling tag knows this anchor. Other tags in range will soon learn of it as well.
   if (!named || !listed_) return;
   announcing_ = Announcing::kDone;
-  queue_.settle(Purpose::kAnnounce);
+  announcement_.settle();
 }
 
 void AnchorMembership::announce(std::uint32_t number) noexcept {
@@ -95,20 +85,21 @@ void AnchorMembership::announce(std::uint32_t number) noexcept {
   if (!first && listed_) return;
   const std::uint32_t ahead = next_announcement_ - number;
   if (ahead != 0 && ahead <= (first ? kBeforeAnnouncing : kRemindEach)) return;
-  queue_.want(Purpose::kAnnounce, {.origin = id_}, first ? kAnnounce : kRemind, number);
+  announcement_.want({.origin = id_}, first ? kAnnounce : kRemind, number);
   announcing_ = Announcing::kDone;
   next_announcement_ = number + kRemindEach;
 }
 
 std::optional<ControlChannel::Outgoing> AnchorMembership::open_slot(std::uint32_t number) noexcept {
   announce(number);
-  if (number - passed_on_since_ > kPassedOnWithin) queue_.settle(Purpose::kPassOn);
-  return outgoing(queue_.turn(number));
+  if (number - passed_on_since_ > kPassedOnWithin) relayed_.settle();
+  auto request = relayed_.turn(number);
+  return request ? request : announcement_.turn(number);
 }
 
 std::optional<ControlChannel::Outgoing> AnchorMembership::own_turn(std::uint32_t number) noexcept {
   if (number - passed_on_since_ > kPassedOnWithin) return std::nullopt;
-  return outgoing(queue_.take(Purpose::kPassOn));
+  return relayed_.take();
 }
 
 void AnchorMembership::on_control(const Frame& frame, std::uint32_t number, bool leading) noexcept {
@@ -131,23 +122,23 @@ void AnchorMembership::on_control(const Frame& frame, std::uint32_t number, bool
 // area is not needed.
 void AnchorMembership::consider_passing_on(const Frame& frame, const Join& join,
                                            std::uint32_t number) noexcept {
-  const Join& pending = queue_.join(Purpose::kPassOn);
+  const bool of_same_tag = relayed_.join().origin == join.origin;
   const std::uint64_t request = std::uint64_t{join.origin} << 32 | static_cast<std::uint32_t>(join.nonce);
   if (std::find(passed_.begin(), passed_.end(), request) != passed_.end()) {
     const bool by_another = frame.source != join.origin;
-    if (by_another && pending.origin == join.origin) queue_.settle(Purpose::kPassOn);
+    if (by_another && of_same_tag) relayed_.settle();
     return;
   }
-  if (queue_.pending(Purpose::kPassOn) && pending.origin != join.origin) return;
+  if (relayed_.pending() && !of_same_tag) return;
   passed_[next_passed_++ % passed_.size()] = request;
   passed_on_since_ = number;
-  queue_.want(Purpose::kPassOn, join, kPassOn, number);
+  relayed_.want(join, kPassOn, number);
 }
 
 void AnchorMembership::on_beacon(const Frame& /*frame*/, const Beacon& /*beacon*/) noexcept {
-  const Join& pending = queue_.join(Purpose::kPassOn);
-  const bool holds = slots_.slot_of(pending.origin).has_value();
-  if (holds != pending.leaving) queue_.settle(Purpose::kPassOn);  // the master knows
+  const Join& request = relayed_.join();
+  const bool holds = slots_.slot_of(request.origin).has_value();
+  if (holds != request.leaving) relayed_.settle();  // the master knows
 }
 
 void AnchorMembership::on_beacon_out(Beacon& beacon, bool leading) noexcept {

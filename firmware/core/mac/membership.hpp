@@ -17,7 +17,7 @@
 #include "firmware/core/mac/anchor_set.hpp"
 #include "firmware/core/mac/control_channel.hpp"
 #include "firmware/core/mac/frame.hpp"
-#include "firmware/core/mac/open_slot_queue.hpp"
+#include "firmware/core/mac/repeated_join.hpp"
 #include "firmware/core/mac/slot_map.hpp"
 #include "groma.pb.h"
 
@@ -44,8 +44,10 @@ class TagMembership final : public ControlChannel {
   [[nodiscard]] AnchorSet& anchors() noexcept { return anchors_; }
   [[nodiscard]] const AnchorSet& anchors() const noexcept { return anchors_; }
 
-  [[nodiscard]] std::optional<Outgoing> open_slot(std::uint32_t number) noexcept override;
-  void on_sent(std::uint32_t /*number*/, bool sent) noexcept override { queue_.on_sent(sent); }
+  [[nodiscard]] std::optional<Outgoing> open_slot(std::uint32_t number) noexcept override {
+    return join_.turn(number);
+  }
+  void on_sent(std::uint32_t /*number*/, bool sent) noexcept override { join_.on_sent(sent); }
   void on_control(const Frame& frame, std::uint32_t number, bool leading) noexcept override;
   void on_beacon(const Frame& frame, const Beacon& beacon) noexcept override;
 
@@ -54,7 +56,7 @@ class TagMembership final : public ControlChannel {
   std::uint16_t owner_;  // of the slot in which this node polls
   const SlotMap& slots_;
   AnchorSet anchors_;
-  OpenSlotQueue queue_;
+  RepeatedJoin join_;
   bool leaving_ = false;
 };
 
@@ -69,7 +71,10 @@ class AnchorMembership final : public ControlChannel {
 
   [[nodiscard]] std::optional<Outgoing> open_slot(std::uint32_t number) noexcept override;
   [[nodiscard]] std::optional<Outgoing> own_turn(std::uint32_t number) noexcept override;
-  void on_sent(std::uint32_t /*number*/, bool sent) noexcept override { queue_.on_sent(sent); }
+  void on_sent(std::uint32_t /*number*/, bool sent) noexcept override {
+    relayed_.on_sent(sent);
+    announcement_.on_sent(sent);
+  }
   void on_control(const Frame& frame, std::uint32_t number, bool leading) noexcept override;
   void on_beacon(const Frame& frame, const Beacon& beacon) noexcept override;
   void on_beacon_out(Beacon& beacon, bool leading) noexcept override;
@@ -85,7 +90,8 @@ class AnchorMembership final : public ControlChannel {
   enum class Announcing : std::uint8_t { kNotYet, kSoon, kDone };
   Announcing announcing_ = Announcing::kNotYet;
   SlotMap& slots_;
-  OpenSlotQueue queue_;
+  RepeatedJoin announcement_;
+  RepeatedJoin relayed_;                   // a tag's request
   std::uint32_t passed_on_since_ = 0;      // superframe of the last request to be relayed
   std::array<std::uint64_t, 4> passed_{};  // origin and lower half of the nonce of the last requests
   std::size_t next_passed_ = 0;
