@@ -166,7 +166,7 @@ MUTATIONS = [
     ("security: a survey polls under the lender's id", STATION, ".source = site_.id,", ".source = site_.lender != kNobody ? site_.lender : site_.id,", ATTACK_TEST),
     ("anchor: a lent slot is not its owner's", "firmware/core/mac/anchor.cpp", "  membership_.on_poll(owner_for(frame, poll), ", "  membership_.on_poll(frame.source, ", ATTACK_TEST),
     ("security: RESPONSE used unverified", STATION, "authenticator_.fits(reception.frame, frame.body, sent_at, receivers)", "(std::holds_alternative<Response>(frame.body) || authenticator_.fits(reception.frame, frame.body, sent_at, receivers))", ATTACK_TEST),
-    ("election: an orphaned node does not scan", "firmware/core/mac/coexistence.cpp", " || (may_scan && orphaned(number))) return", ") return", ["test/firmware/master_election_test.cpp"]),
+    ("election: an orphaned node does not scan", "firmware/core/mac/coexistence.cpp", " || (may_scan && orphaned)) return", ") return", ["test/firmware/master_election_test.cpp"]),
     ("security: a tag polls after a replay", "firmware/core/mac/tag.cpp", " || !sure(superframe)) return", ") return", ATTACK_TEST),
     ("security: an anchor answers after a replay", "firmware/core/mac/anchor.cpp", "  if (!fresh()) return std::nullopt;\n", "", ATTACK_TEST),
     ("codec: COBS block of wrong length", "proto/frame_codec.cpp", "kFullBlock = 0xFF", "kFullBlock = 0xFE", CODEC_TEST),
@@ -256,6 +256,6 @@ MUTATIONS = [
     ("security: MIC of challenges not verified", STATION, "authenticator_.fits(reception.frame, frame.body, sent_at, receivers)", "(challenge_of(frame.body) != nullptr || authenticator_.fits(reception.frame, frame.body, sent_at, receivers))", ATTACK_TEST),
     ("security: a node that may hear a recording signs other frames", STATION, "fresh() != (challenge_of(body) != nullptr)", "true", ATTACK_TEST),
     ("replay guard: nonces wrap", "firmware/core/mac/replay_guard.cpp", "    if (*site_.nonces == std::numeric_limits<std::uint32_t>::max()) return std::nullopt;\n", "", AUTHENTICATOR_TEST),
-    ("election: session ids wrap in a keyed network", "firmware/core/mac/master_election.cpp", " &&\n         *site_.sessions != std::numeric_limits<std::uint16_t>::max();", ";", ["test/firmware/master_election_test.cpp"]),
+    ("election: session ids wrap in a keyed network", "firmware/core/mac/master_election.cpp", " && *site_.sessions != kLast", "", ["test/firmware/master_election_test.cpp"]),
     ("election: a session of an uncounted boot in a keyed network", "firmware/core/mac/master_election.cpp", "site_.boot_count != 0 && ", "", ["test/firmware/master_election_test.cpp"]),
 ]

@@ -24,19 +24,17 @@ std::uint32_t chance_of(std::uint64_t session, std::uint32_t number) noexcept {
 
 }  // namespace
 
-void Pause::restart(std::uint32_t number) noexcept {
-  next_ = number;
-  times_ = 0;
-}
-
-void Pause::begin(std::uint32_t number) noexcept {
+bool Pause::ends(std::uint32_t number) noexcept {
   constexpr std::int32_t kForgotten = 64;
   constexpr int kGoesOn_log2 = 6;
-  if (since(number, next_) > kForgotten) times_ = 0;
+  const std::int32_t over = since(number, next_);
+  if (over < 0) return false;
+  if (over > kForgotten) times_ = 0;
   times_ = static_cast<std::uint8_t>(std::min(times_ + 1, at_once_ + longest_log2_));
   int log2 = std::max(times_ - at_once_, 0);
   if (log2 > burst_log2_) log2 = std::min<int>(log2 - burst_log2_ - 1 + kGoesOn_log2, longest_log2_);
   next_ = number + (1U << log2);
+  return true;
 }
 
 Coexistence::Coexistence(const Site& site, MasterElection& election, std::uint32_t hash) noexcept
@@ -51,10 +49,6 @@ void Coexistence::search(ClockTime now, std::uint32_t rounds) noexcept {
   unverified_polls_ = 0;
   silent_left_ = 0;
   election_.search(now, stale_until_, rounds);
-}
-
-void Coexistence::on_traffic(ClockTime now) noexcept {
-  if (!displaces_older_) election_.on_traffic(now);
 }
 
 void Coexistence::found() noexcept {
@@ -87,13 +81,6 @@ void Coexistence::leave_session(ClockTime now, std::uint32_t number) noexcept {
   search(now, kRounds);
 }
 
-// A master that resigned does not continue: newer information than its last beacon's shows that its farewell
-// was not genuine.
-bool Coexistence::is_avoided(const Beacon& beacon, ClockTime now) const noexcept {
-  if (beacon.session != avoided_ || now >= avoided_until_) return false;
-  return beacon.master != avoided_master_ || since(origin_of(beacon), avoided_at_) <= 0;
-}
-
 bool Coexistence::of_this_schedule(const Beacon& beacon) const noexcept {
   return beacon.epoch == site_.schedule->epoch && beacon.schedule_hash == hash_;
 }
@@ -113,7 +100,10 @@ Verdict Coexistence::judge(std::uint16_t source, const Beacon& beacon, Ticks ahe
     return Verdict::kLeave;
   }
   if (searching) {
-    if (is_avoided(beacon, now)) return Verdict::kIgnore;
+    // A master that resigned does not continue: newer information than its last beacon's shows that its
+    // farewell was not genuine.
+    const bool resigned = beacon.master != avoided_master_ || since(origin_of(beacon), avoided_at_) <= 0;
+    if (beacon.session == avoided_ && now < avoided_until_ && resigned) return Verdict::kIgnore;
     follow(source, beacon);
     return Verdict::kAdopt;
   }
@@ -139,7 +129,15 @@ Verdict Coexistence::judge_own_session(std::uint16_t source, const Beacon& beaco
 Verdict Coexistence::judge_schedule(const Beacon& beacon, ClockTime now) noexcept {
   const std::uint32_t epoch = site_.schedule->epoch;
   const bool newer = beacon.epoch != epoch ? beacon.epoch > epoch : beacon.schedule_hash > hash_;
-  if (election_.role() == Role::kSearching) return judge_other_schedule_while_searching(newer, now);
+  if (election_.role() == Role::kSearching) {
+    // A node whose schedule is on trial leaves the older network alone, because other nodes receive their
+    // schedule over it; the master receives it last and is the exception.
+    const bool waits = newer || (site_.on_trial && election_.rank() != std::size_t{0});
+    if (waits) election_.start_not_before(now + kQuiet);
+    if (waits || !election_.rank()) return Verdict::kStale;
+    if (!std::exchange(displaces_older_, true)) election_.search(now, stale_until_, 0);
+    return Verdict::kRequestMerge;
+  }
   if (beacon.dissolving) return Verdict::kStale;
   // A single frame may be damaged or forged: require a second one with the same content.
   const std::uint32_t fingerprint = beacon.epoch ^ beacon.schedule_hash;
@@ -147,7 +145,7 @@ Verdict Coexistence::judge_schedule(const Beacon& beacon, ClockTime now) noexcep
     suspect();
     return Verdict::kStale;
   }
-  if (!newer) return request_merge();
+  if (!newer) return request_merge(election_.proven() && !election_.dissolving());
   stale_until_ = now + kQuiet;
   if (election_.leads()) {
     election_.dissolve();
@@ -155,16 +153,6 @@ Verdict Coexistence::judge_schedule(const Beacon& beacon, ClockTime now) noexcep
   }
   search(now);
   return Verdict::kLeave;
-}
-
-// A node whose schedule is on trial leaves the older network alone, because other nodes receive their
-// schedule over it; the master receives it last and is the exception.
-Verdict Coexistence::judge_other_schedule_while_searching(bool newer, ClockTime now) noexcept {
-  const bool waits = newer || (site_.on_trial && election_.rank() != std::size_t{0});
-  if (waits) election_.start_not_before(now + kQuiet);
-  if (waits || !election_.rank()) return Verdict::kStale;
-  if (!std::exchange(displaces_older_, true)) election_.search(now, stale_until_, 0);
-  return Verdict::kRequestMerge;
 }
 
 // Aligned parts of one session: judge() decides by rank. Parts that have drifted apart: the one ahead stays,
@@ -180,11 +168,7 @@ Verdict Coexistence::judge_merge_request(std::uint16_t source, const Beacon& bea
 }
 
 Verdict Coexistence::judge_unverified(std::uint16_t source, const Beacon& beacon) noexcept {
-  if (!of_this_schedule(beacon) || !election_.is_credible(source, beacon)) return Verdict::kIgnore;
-  const std::uint32_t number = election_.number();
-  if (silent_left_ != 0 || !merge_requests_.over(number)) return Verdict::kIgnore;
-  merge_requests_.begin(number);
-  return Verdict::kRequestMerge;
+  return request_merge(of_this_schedule(beacon) && election_.is_credible(source, beacon));
 }
 
 // This node's session gives way to the beacon's session.
@@ -194,7 +178,7 @@ bool Coexistence::gives_way(const Beacon& beacon, Ticks ahead) const noexcept {
 }
 
 Verdict Coexistence::judge_other_session(std::uint16_t source, const Beacon& beacon, Ticks ahead) noexcept {
-  if (!gives_way(beacon, ahead)) return request_merge();
+  if (!gives_way(beacon, ahead)) return request_merge(election_.proven() && !election_.dissolving());
   if (election_.leads()) {
     election_.dissolve();
     return Verdict::kIgnore;
@@ -203,12 +187,9 @@ Verdict Coexistence::judge_other_session(std::uint16_t source, const Beacon& bea
   return Verdict::kAdopt;
 }
 
-Verdict Coexistence::request_merge() noexcept {
-  const std::uint32_t number = election_.number();
-  const bool may = election_.proven() && silent_left_ == 0 && !election_.dissolving();
-  if (!may || !merge_requests_.over(number)) return Verdict::kIgnore;
-  merge_requests_.begin(number);
-  return Verdict::kRequestMerge;
+Verdict Coexistence::request_merge(bool may) noexcept {
+  const bool due = may && silent_left_ == 0 && merge_requests_.ends(election_.number());
+  return due ? Verdict::kRequestMerge : Verdict::kIgnore;
 }
 
 // A rank exists once in a site, so its turn is free in the other session. An acting master shares its turn
@@ -225,22 +206,22 @@ bool Coexistence::may_request_merge(std::uint32_t number) const noexcept {
 
 // ---- scans and radio silence
 
-Duty Coexistence::begin(std::uint32_t number) noexcept {
-  if (election_.begin(number)) return Duty::kTakeOver;
-  if (election_.overdue(number)) lacking_ = true;
-  return scan_duty(number);
-}
-
 // All nodes of a session scan in the same superframes, so that they do not drown out what they listen for. A
 // master mostly omits its beacon then, because two nodes that send at once do not hear each other. Scans are
 // random, because two sessions that scan at once do not hear each other either.
-Duty Coexistence::scan_duty(std::uint32_t number) noexcept {
+Duty Coexistence::begin(std::uint32_t number) noexcept {
+  if (election_.begin(number)) return Duty::kTakeOver;
+  if (election_.overdue(number)) lacking_ = true;
   if (election_.dissolving()) return Duty::kGoOn;
   quiet_ = silent_left_ != 0;
   const std::uint32_t chance =
       chance_of(election_.session() ^ std::uint64_t{election_.master()} << 32, number);
   const bool may_scan = chance % 8 < 5;
-  if (std::exchange(listens_next_, false) || (may_scan && orphaned(number))) return Duty::kLongSilence;
+  // This node hears no beacon of its network, does not poll, is not polled, and can never lead: a scan costs
+  // nothing.
+  const bool orphaned = election_.role() == Role::kFollowing && !election_.rank() && idle_ &&
+                        election_.age(number) > MasterElection::kPatience;
+  if (std::exchange(listens_next_, false) || (may_scan && orphaned)) return Duty::kLongSilence;
   if (silent_left_ != 0) {
     --silent_left_;
     return election_.leads() ? Duty::kScan : Duty::kSilence;
@@ -259,28 +240,15 @@ bool Coexistence::begin_scan(std::uint32_t number, bool may_scan) noexcept {
   constexpr std::int32_t kNews = 4;
   if (suspected_ && since(number, *suspected_) > kNews) suspected_.reset();
   if (!may_scan || election_.has_shared_turn(number)) return false;
-  if (suspected_ && scans_.over(number)) {
-    scans_.begin(number);
+  if (suspected_ && scans_.ends(number)) {
     suspected_.reset();
     quiet_ = true;
-    return true;
-  }
-  if (unverified_poll && unverified_scans_.over(number)) {
-    unverified_scans_.begin(number);
+  } else if (unverified_poll && unverified_scans_.ends(number)) {
     quiet_ = true;
-    return true;
+  } else {
+    return lacking_ && (idle_ ? idles_ : lacks_).ends(number);
   }
-  Pause& pause = idle_ ? idles_ : lacks_;
-  if (!lacking_ || !pause.over(number)) return false;
-  pause.begin(number);
   return true;
-}
-
-// This node hears no beacon of its network, does not poll, is not polled, and can never lead: a scan costs
-// nothing.
-bool Coexistence::orphaned(std::uint32_t number) const noexcept {
-  return election_.role() == Role::kFollowing && !election_.rank() && idle_ &&
-         election_.age(number) > MasterElection::kPatience;
 }
 
 void Coexistence::keep_silence(std::uint32_t until) noexcept {
@@ -290,10 +258,7 @@ void Coexistence::keep_silence(std::uint32_t until) noexcept {
 }
 
 void Coexistence::on_silence() noexcept {
-  const std::uint32_t number = election_.number();
-  if (!silences_.over(number)) return;
-  silences_.begin(number);
-  silent_left_ = std::max(silent_left_, std::uint32_t{1});
+  if (silences_.ends(election_.number())) silent_left_ = std::max(silent_left_, std::uint32_t{1});
 }
 
 // If the master is heard in successive shared slots but never in the beacon slot, beacons of another session

@@ -39,9 +39,12 @@ class Pause {
   constexpr Pause(std::uint8_t at_once, std::uint8_t burst_log2, std::uint8_t longest_log2) noexcept
       : at_once_(at_once), burst_log2_(burst_log2), longest_log2_(longest_log2) {}
   // No action is due before superframe `number`, and the pause after that one is the first.
-  void restart(std::uint32_t number) noexcept;
-  [[nodiscard]] bool over(std::uint32_t number) const noexcept { return since(number, next_) >= 0; }
-  void begin(std::uint32_t number) noexcept;
+  constexpr void restart(std::uint32_t number) noexcept {
+    next_ = number;
+    times_ = 0;
+  }
+  // Returns true if the action is due in superframe `number`; the next pause begins then.
+  [[nodiscard]] bool ends(std::uint32_t number) noexcept;
 
  private:
   std::uint32_t next_ = 0;
@@ -60,7 +63,9 @@ class Coexistence {
   // Listens for `rounds` rounds of relaying more before it starts a session.
   void search(ClockTime now, std::uint32_t rounds = 0) noexcept;
   // As MasterElection::on_traffic(), except while this node displaces a network with an older schedule.
-  void on_traffic(ClockTime now) noexcept;
+  void on_traffic(ClockTime now) noexcept {
+    if (!displaces_older_) election_.on_traffic(now);
+  }
   // Starts a session, as MasterElection::found().
   void found() noexcept;
 
@@ -105,32 +110,22 @@ class Coexistence {
 
   // This node may send a merge request in the shared slot of the other session's superframe `number`.
   [[nodiscard]] bool may_request_merge(std::uint32_t number) const noexcept;
-  // This node may do so in superframe `number` or one of the `more` that follow.
-  [[nodiscard]] bool may_request_merge_within(std::uint32_t number, std::uint32_t more) const noexcept {
-    for (std::uint32_t i = 0; i <= more; ++i) {
-      if (may_request_merge(number + i)) return true;
-    }
-    return false;
-  }
 
  private:
   void restart_pauses(std::uint32_t number) noexcept;
   void follow(std::uint16_t source, const Beacon& beacon) noexcept;
   // Its session has dissolved: starts to search for the other session. `number`: of its last beacon.
   void leave_session(ClockTime now, std::uint32_t number) noexcept;
-  [[nodiscard]] bool is_avoided(const Beacon& beacon, ClockTime now) const noexcept;
   [[nodiscard]] bool of_this_schedule(const Beacon& beacon) const noexcept;
   [[nodiscard]] bool gives_way(const Beacon& beacon, Ticks ahead) const noexcept;
   [[nodiscard]] Verdict judge_schedule(const Beacon& beacon, ClockTime now) noexcept;
-  [[nodiscard]] Verdict judge_other_schedule_while_searching(bool newer, ClockTime now) noexcept;
   [[nodiscard]] Verdict judge_other_session(std::uint16_t source, const Beacon& beacon, Ticks ahead) noexcept;
   [[nodiscard]] Verdict judge_own_session(std::uint16_t source, const Beacon& beacon, Ticks ahead,
                                           ClockTime now) noexcept;
-  [[nodiscard]] Verdict request_merge() noexcept;
+  // `may`: this node is entitled to send merge requests.
+  [[nodiscard]] Verdict request_merge(bool may) noexcept;
   void watch_place(const Beacon& beacon) noexcept;
   [[nodiscard]] bool begin_scan(std::uint32_t number, bool may_scan) noexcept;
-  [[nodiscard]] Duty scan_duty(std::uint32_t number) noexcept;
-  [[nodiscard]] bool orphaned(std::uint32_t number) const noexcept;
 
   const Site& site_;
   MasterElection& election_;

@@ -31,27 +31,20 @@ void MasterElection::search(ClockTime now, ClockTime not_before, std::uint32_t r
   lead_at_ = std::max(now + listening_time(), not_before) + std::int64_t{rounds} * beaconers_ * duration_;
 }
 
-void MasterElection::start_not_before(ClockTime time) noexcept {
-  lead_at_ = std::max(lead_at_, time);
-}
-
 void MasterElection::on_traffic(ClockTime now) noexcept {
   constexpr std::int64_t kMostListenings = 20;
   const ClockTime latest = search_start_ + kMostListenings * listening_time();
   start_not_before(std::min(now + listening_time(), latest));
 }
 
-std::optional<ClockTime> MasterElection::lead_at() const noexcept {
-  if (!rank_ || !has_session_id()) return std::nullopt;
-  return lead_at_;
-}
-
 // In a network with a key no session id may be used twice: it makes the session's key. The ids of an
 // uncounted boot may have been used.
-bool MasterElection::has_session_id() const noexcept {
-  if (site_.network_key.empty()) return true;
-  return site_.boot_count != 0 && site_.sessions != nullptr &&
-         *site_.sessions != std::numeric_limits<std::uint16_t>::max();
+std::optional<ClockTime> MasterElection::lead_at() const noexcept {
+  constexpr std::uint16_t kLast = std::numeric_limits<std::uint16_t>::max();
+  const bool has_session_id =
+      site_.network_key.empty() ||
+      (site_.boot_count != 0 && site_.sessions != nullptr && *site_.sessions != kLast);
+  return rank_ && has_session_id ? std::optional(lead_at_) : std::nullopt;
 }
 
 void MasterElection::found() noexcept {
@@ -108,14 +101,6 @@ std::uint32_t MasterElection::age(std::uint32_t number) const noexcept {
 std::uint32_t MasterElection::patience_at(std::uint8_t hop) const noexcept {
   const std::uint32_t relays = hop == 0 ? 0 : std::min<std::uint32_t>(hop - 1U, kMaxBeaconers);
   return kPatience + 2 * beaconers_ * relays;
-}
-
-bool MasterElection::overdue(std::uint32_t number) const noexcept {
-  return age(number) > patience() + beaconers_ * (beaconers_ + 4);
-}
-
-bool MasterElection::orphaned_after_one_beacon(std::uint32_t number) const noexcept {
-  return role_ == Role::kFollowing && !proven_ && age(number) > patience() + 2 * beaconers_;
 }
 
 bool MasterElection::is_credible(std::uint16_t source, const Beacon& beacon) const noexcept {

@@ -13,6 +13,7 @@
 // it, so relays cannot keep a dead master alive among themselves.
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <cstddef>
 #include <cstdint>
@@ -46,7 +47,7 @@ class MasterElection {
   // Starts the search, at power-up or when the time is lost. Starts no session before `not_before`, and
   // listens for `rounds` rounds of relaying more.
   void search(ClockTime now, ClockTime not_before, std::uint32_t rounds) noexcept;
-  void start_not_before(ClockTime time) noexcept;
+  void start_not_before(ClockTime time) noexcept { lead_at_ = std::max(lead_at_, time); }
   // While searching, reports a frame of this network that is not a beacon. Another node is there, so this one
   // waits longer before it leads.
   void on_traffic(ClockTime now) noexcept;
@@ -96,10 +97,14 @@ class MasterElection {
     return role_ == Role::kFollowing && age(number) > patience();
   }
   // The master has been gone for so long that every back-up should have taken over.
-  [[nodiscard]] bool overdue(std::uint32_t number) const noexcept;
+  [[nodiscard]] bool overdue(std::uint32_t number) const noexcept {
+    return age(number) > patience() + beaconers_ * (beaconers_ + 4);
+  }
   // The followed session is known from one beacon only, and has not been confirmed for too long: the beacon
   // may have been forged or damaged.
-  [[nodiscard]] bool orphaned_after_one_beacon(std::uint32_t number) const noexcept;
+  [[nodiscard]] bool orphaned_after_one_beacon(std::uint32_t number) const noexcept {
+    return role_ == Role::kFollowing && !proven_ && age(number) > patience() + 2 * beaconers_;
+  }
   [[nodiscard]] bool aligned(Ticks ahead) const noexcept { return ahead <= guard_ && ahead >= -guard_; }
   // The two timelines count different superframes.
   [[nodiscard]] bool far(Ticks ahead) const noexcept {
@@ -122,8 +127,6 @@ class MasterElection {
   [[nodiscard]] bool is_news(const Beacon& beacon) const noexcept;
   [[nodiscard]] std::uint32_t better_ranks_alive(std::uint32_t number) const noexcept;
   [[nodiscard]] Ticks listening_time() const noexcept;
-  // There is an unused session id for found().
-  [[nodiscard]] bool has_session_id() const noexcept;
 
   static constexpr std::size_t kMaxBeaconers = 8;
 

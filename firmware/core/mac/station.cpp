@@ -372,9 +372,10 @@ void Station::send_merge_requests(std::uint32_t rounds, bool only_requester_sile
   // may be the only one in range of the others.
   constexpr std::uint32_t kMore = 1;
   std::uint32_t last = to_open + (rounds - 1) * turns + kMore;
-  while (!election_.leads() && election_.rank() && last < 2 * turns &&
-         !coexistence_.may_request_merge_within(target, last)) {
-    ++last;
+  if (!election_.leads() && election_.rank()) {
+    std::uint32_t own = 0;
+    while (own < 2 * turns && !coexistence_.may_request_merge(target + own)) ++own;
+    last = std::max(last, own);
   }
   others_->left = last + 1;
   coexistence_.keep_silence(superframe_at(others_->shared + std::int64_t{last} * duration));
