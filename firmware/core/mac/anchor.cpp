@@ -4,12 +4,6 @@
 
 namespace groma::mac {
 
-namespace {
-
-constexpr int kSilent = 4;  // superframes without a POLL after which a slot counts as unused
-
-}  // namespace
-
 Anchor::Anchor(const Site& site, groma_Counters& counters) noexcept
     : Station(site, counters), membership_(site.id, *site.schedule, slots()) {
   attach(membership_);
@@ -170,15 +164,14 @@ std::uint16_t Anchor::expected_tag() const noexcept {
 }
 
 Anchor::Record& Anchor::record_of(std::uint16_t tag) noexcept {
-  const auto found =
-      std::find_if(records_.begin(), records_.end(), [=](const Record& record) { return record.tag == tag; });
-  if (found != records_.end()) return *found;
-  Record& oldest = *std::min_element(records_.begin(), records_.end(), [&](const Record& a, const Record& b) {
-    if ((a.tag == kNobody) != (b.tag == kNobody)) return a.tag == kNobody;
-    return slots_of_ - a.superframe > slots_of_ - b.superframe;
-  });
-  oldest = {.tag = tag};
-  return oldest;
+  const auto rank = [&](const Record& record) -> std::uint64_t {
+    if (record.tag == tag) return ~std::uint64_t{0};
+    return record.tag == kNobody ? std::uint64_t{1} << 32 : slots_of_ - record.superframe;
+  };
+  Record& best = *std::max_element(records_.begin(), records_.end(),
+                                   [&](const Record& a, const Record& b) { return rank(a) < rank(b); });
+  if (best.tag != tag) best = {.tag = tag};
+  return best;
 }
 
 void Anchor::close(const Frame& frame, const Final& final, const Reception& reception) noexcept {

@@ -32,6 +32,7 @@ class Anchor final : public Station {
 
  private:
   enum class Phase : std::uint8_t { kPoll, kResponse, kFinal };  // of the slot
+  static constexpr int kSilent = 4;  // superframes without a POLL after which a slot counts as unused
 
   // The last exchange with one tag.
   struct Record {

@@ -31,24 +31,17 @@ bool plausible(const Range& range, const Leg& leg) noexcept {
 }  // namespace
 
 Range evaluate(const Exchange& exchange, const Leg& leg) noexcept {
-  Range range;
-  if (!leg.answered) return range;
-  if (!leg.timestamp_valid) {
-    range.status = RangeStatus::kBadTimestamp;
-    return range;
-  }
-  range.status = RangeStatus::kNoClosingTimestamp;
-  if (leg.closing_state == Leg::Closing::kStale) {
-    range.status = RangeStatus::kStale;
-    return range;
-  }
-  if (leg.closing_state == Leg::Closing::kNone || !exchange.closing_sent) return range;
-  range.intervals = {.tag_round = leg.received - exchange.poll_sent,
-                     .anchor_reply = leg.reply,
-                     .anchor_round = leg.closing,
-                     .tag_reply = *exchange.closing_sent - leg.received};
-  if (range.intervals.tag_reply > kMaxClosing) return range;
-  range.status = RangeStatus::kBadTimestamp;
+  if (!leg.answered) return {};
+  if (!leg.timestamp_valid) return {.status = RangeStatus::kBadTimestamp};
+  if (leg.closing_state == Leg::Closing::kStale) return {.status = RangeStatus::kStale};
+  const bool closed = leg.closing_state == Leg::Closing::kHeld && exchange.closing_sent;
+  if (!closed || *exchange.closing_sent - leg.received > kMaxClosing)
+    return {.status = RangeStatus::kNoClosingTimestamp};
+  Range range{.status = RangeStatus::kBadTimestamp,
+              .intervals = {.tag_round = leg.received - exchange.poll_sent,
+                            .anchor_reply = leg.reply,
+                            .anchor_round = leg.closing,
+                            .tag_reply = *exchange.closing_sent - leg.received}};
   const auto flight = ranging::double_sided(range.intervals);
   if (!flight) return range;
   range.flight = *flight;

@@ -34,8 +34,6 @@ class TagMembership final : public ControlChannel {
   [[nodiscard]] std::optional<std::size_t> slot(std::uint32_t number) const noexcept {
     return leaving_ ? std::nullopt : slots_.valid_slot_of(owner_, number);
   }
-  // The slot map is too old for polling in superframe `number`.
-  [[nodiscard]] bool outdated(std::uint32_t number) const noexcept { return slots_.outdated(number); }
   // The slot is another tag's.
   [[nodiscard]] bool borrows() const noexcept { return owner_ != id_; }
   // Stops polling permanently and announces it.

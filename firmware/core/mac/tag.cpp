@@ -20,8 +20,9 @@ void Tag::forget_exchanges() noexcept {
 std::optional<Action> Tag::slot_action(ClockTime now) noexcept {
   const std::uint32_t superframe = superframe_number();
   end_superframe();
-  if (membership_.outdated(superframe)) coexistence().on_lack(false, true);
-  const auto slot = has_lent() ? std::nullopt : membership_.slot(superframe);
+  if (slots().outdated(superframe)) coexistence().on_lack(false, true);
+  const bool lent = site().lent_until_us != nullptr && site().lent_until_us->has_value();
+  const auto slot = lent ? std::nullopt : membership_.slot(superframe);
   if (!slot || !ahead(poll_due(superframe, *slot), now) || !sure(superframe)) return std::nullopt;
   return poll(superframe, *slot);
 }
@@ -60,7 +61,7 @@ Action Tag::poll(std::uint32_t superframe, std::size_t slot) noexcept {
                   .count = exchange.count,
                   .anchors = next_anchors_};
   const ClockTime timestamp = timestamp_not_after(poll_due(superframe, slot));
-  return transmit(timestamp, kBroadcast, body, place_of(exchange));
+  return transmit(timestamp, kBroadcast, body, slot_place());
 }
 
 Step Tag::slot_transmitted(ClockTime timestamp) noexcept {
@@ -116,15 +117,6 @@ std::size_t Tag::precompute() noexcept {
   return 0;
 }
 
-Leg* Tag::previous_leg(std::uint16_t anchor) noexcept {
-  if (!previous_valid_) return nullptr;
-  Exchange& before = previous();
-  const auto end = before.legs.begin() + before.count;
-  const auto found =
-      std::find_if(before.legs.begin(), end, [=](const Leg& leg) { return leg.anchor == anchor; });
-  return found == end ? nullptr : &*found;
-}
-
 void Tag::take_response(const Frame& frame, const Response& response, const Reception& reception) noexcept {
   Leg& leg = current().legs[window_];
   const Ticks late = reception.timestamp - response_due(window_);
@@ -142,9 +134,11 @@ void Tag::take_response(const Frame& frame, const Response& response, const Rece
   leg.health = response.health;
   leg.quality = reception.quality;
 
-  if (!response.closing_valid) return;
-  Leg* open = previous_leg(leg.anchor);
-  if (open == nullptr) return;
+  if (!response.closing_valid || !previous_valid_) return;
+  const auto legs = std::span(previous().legs).first(previous().count);
+  const auto open =
+      std::find_if(legs.begin(), legs.end(), [&](const Leg& one) { return one.anchor == leg.anchor; });
+  if (open == legs.end()) return;
   const bool same = response.closed_exchange == previous().number;
   open->closing_state = same ? Leg::Closing::kHeld : Leg::Closing::kStale;
   open->closing = response.closing;
@@ -184,15 +178,6 @@ Step Tag::finish(ClockTime now) noexcept {
   Step step = plan(now);
   step.completed = completed;
   return step;
-}
-
-Step Tag::slot_timeout(ClockTime now) noexcept {
-  return phase_ == Phase::kResponses ? next_window(now) : plan(now);
-}
-
-// A POLL that was not sent leaves no exchange behind.
-Step Tag::slot_abandoned(ClockTime now) noexcept {
-  return phase_ == Phase::kPoll ? plan(now) : finish(now);
 }
 
 }  // namespace groma::mac

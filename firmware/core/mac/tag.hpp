@@ -37,24 +37,22 @@ class Tag final : public Station {
   enum class Phase : std::uint8_t { kPoll, kResponses, kFinal };  // of the slot
 
   [[nodiscard]] std::optional<Action> slot_action(ClockTime now) noexcept override;
-  [[nodiscard]] Place slot_place() const noexcept override { return place_of(current()); }
+  [[nodiscard]] Place slot_place() const noexcept override { return {current().superframe, current().slot}; }
   [[nodiscard]] Step slot_transmitted(ClockTime timestamp) noexcept override;
   [[nodiscard]] Step slot_received(const Reception& reception) noexcept override;
-  [[nodiscard]] Step slot_timeout(ClockTime now) noexcept override;
-  [[nodiscard]] Step slot_abandoned(ClockTime now) noexcept override;
+  [[nodiscard]] Step slot_timeout(ClockTime now) noexcept override { return next_window(now); }
+  // A POLL that was not sent leaves no exchange behind.
+  [[nodiscard]] Step slot_abandoned(ClockTime now) noexcept override {
+    return phase_ == Phase::kPoll ? plan(now) : finish(now);
+  }
   void forget_exchanges() noexcept override;
 
-  [[nodiscard]] bool has_lent() const noexcept {
-    return site().lent_until_us != nullptr && site().lent_until_us->has_value();
-  }
   Action poll(std::uint32_t superframe, std::size_t slot) noexcept;
   [[nodiscard]] ClockTime response_due(std::size_t index) const noexcept {
     return current().poll_sent + superframe().response(index, current().count);
   }
   [[nodiscard]] Action response_window(std::size_t index) const noexcept;
   void take_response(const Frame& frame, const Response& response, const Reception& reception) noexcept;
-  // The anchor's leg in the previous exchange; null: the anchor was not polled in it.
-  [[nodiscard]] Leg* previous_leg(std::uint16_t anchor) noexcept;
   void watch_answers() noexcept;
   Step next_window(ClockTime now) noexcept;
   Step finish(ClockTime now) noexcept;
@@ -62,9 +60,6 @@ class Tag final : public Station {
   [[nodiscard]] Exchange& current() noexcept { return exchanges_[current_]; }
   [[nodiscard]] const Exchange& current() const noexcept { return exchanges_[current_]; }
   [[nodiscard]] Exchange& previous() noexcept { return exchanges_[(current_ + 2) % 3]; }
-  [[nodiscard]] static Place place_of(const Exchange& exchange) noexcept {
-    return {exchange.superframe, exchange.slot};
-  }
 
   TagMembership membership_;
   Phase phase_ = Phase::kPoll;
