@@ -281,9 +281,9 @@ TEST(AnchorSet, ChoosesLikeTheReferenceModel) {
     ASSERT_EQ(set.size(), model.anchors.size());
     for (std::size_t i = 0; i < set.size(); ++i) {
       const Model::Belief belief = Model::belief(model.anchors[i]);
-      EXPECT_EQ(set.at(i).rate_256ths, belief.rate);
-      EXPECT_EQ(set.at(i).quality, belief.quality);
-      EXPECT_EQ(set.at(i).silent, belief.silent);
+      EXPECT_EQ(set.candidates()[i].rate, belief.rate);
+      EXPECT_EQ(set.candidates()[i].quality, belief.quality);
+      EXPECT_EQ(set.candidates()[i].silent(), belief.silent);
     }
   }
 }
@@ -304,7 +304,7 @@ TEST(AnchorSet, TheRateEstimatesTheShareAnswered) {
   constexpr int kSuperframes = 4000;
   for (int i = 0; i < kSuperframes; ++i) {
     (void)world.superframe(set, 16);
-    if (i >= 100) sum += set.at(0).rate_256ths / 255.0;
+    if (i >= 100) sum += set.candidates()[0].rate / 255.0;
   }
   EXPECT_NEAR(sum / (kSuperframes - 100), 0.7, 0.03);
 }
@@ -438,7 +438,7 @@ TEST(AnchorSet, PrefersReliableAnchorsAndTheHostsHints) {
   EXPECT_GT(polled[103], 380);
   EXPECT_LT(polled[104], 20);
   set.prefer_none();
-  EXPECT_EQ(set.at(2).weight, AnchorSet::kNeutralWeight);
+  EXPECT_EQ(set.candidates()[2].weight, AnchorSet::kNeutralWeight);
 }
 
 TEST(AnchorSet, ReplacesSilentGuestsButNotConfiguredAnchors) {
@@ -458,13 +458,13 @@ TEST(AnchorSet, ReplacesSilentGuestsButNotConfiguredAnchors) {
   EXPECT_TRUE(set.announce(903));
   EXPECT_EQ(set.size(), 64U);
   std::set<std::uint16_t> ids;
-  for (std::size_t i = 0; i < set.size(); ++i) ids.insert(set.at(i).id);
+  for (const auto& candidate : set.candidates()) ids.insert(candidate.id);
   EXPECT_EQ(ids.size(), 64U);
   EXPECT_TRUE(ids.contains(903) && ids.contains(902) && !ids.contains(901));
 }
 
 TEST(AnchorSet, AnEmptySetPollsNothing) {
-  AnchorSet set;
+  AnchorSet set(ids_from(101, 0));
   EXPECT_TRUE(choose(set, 16).empty());
   EXPECT_EQ(set.answering(), 0U);
   ASSERT_TRUE(set.announce(5));

@@ -176,10 +176,8 @@ class Cells {
 };
 
 bool knows(const Cells::Node& tag, std::uint16_t anchor) {
-  for (std::size_t i = 0; i < tag.tag->anchors().size(); ++i) {
-    if (tag.tag->anchors().at(i).id == anchor) return true;
-  }
-  return false;
+  const auto candidates = tag.tag->anchors().candidates();
+  return std::any_of(candidates.begin(), candidates.end(), [=](const auto& one) { return one.id == anchor; });
 }
 
 TEST(Membership, AnUnscheduledTagGetsASlotWithinThreeSuperframes) {

@@ -47,7 +47,7 @@ AnchorSet::AnchorSet(std::span<const std::uint16_t> configured) noexcept {
   }
 }
 
-const AnchorSet::Candidate* AnchorSet::find(std::uint16_t id) const noexcept {
+AnchorSet::Candidate* AnchorSet::find(std::uint16_t id) noexcept {
   for (std::size_t i = 0; i < size_; ++i) {
     if (candidates_[i].id == id) return &candidates_[i];
   }
@@ -178,13 +178,9 @@ void AnchorSet::on_silence(std::uint16_t id) noexcept {
 }
 
 std::size_t AnchorSet::answering() const noexcept {
-  return static_cast<std::size_t>(std::count_if(candidates_.begin(), candidates_.begin() + size_,
-                                                [](const Candidate& c) { return !c.silent(); }));
-}
-
-AnchorSet::View AnchorSet::at(std::size_t index) const noexcept {
-  const Candidate& c = candidates_[index];
-  return {c.id, c.rate, c.quality, c.weight, c.silent()};
+  const auto all = candidates();
+  return static_cast<std::size_t>(
+      std::count_if(all.begin(), all.end(), [](const Candidate& c) { return !c.silent(); }));
 }
 
 }  // namespace groma::mac

@@ -11,7 +11,6 @@
 #include <cstddef>
 #include <cstdint>
 #include <span>
-#include <utility>
 
 #include "firmware/core/radio/link_quality.hpp"
 
@@ -40,7 +39,6 @@ class AnchorSet {
     return places >= 3 ? 32 : 128;
   }
 
-  AnchorSet() = default;
   // The schedule's anchors, tried in this order at first, and never removed. Those beyond kCapacity are
   // ignored.
   explicit AnchorSet(std::span<const std::uint16_t> configured) noexcept;
@@ -53,7 +51,7 @@ class AnchorSet {
   // A frame of this anchor was received: it gets a trial. Does nothing if it is not a candidate.
   void hear(std::uint16_t id) noexcept;
 
-  [[nodiscard]] bool knows(std::uint16_t id) const noexcept { return find(id) != nullptr; }
+  [[nodiscard]] bool knows(std::uint16_t id) noexcept { return find(id) != nullptr; }
 
   // The host's hint: the value of a place for this anchor, relative to kNeutralWeight; with 0 it gets only
   // places that are left over. Does nothing if it is not a candidate.
@@ -72,22 +70,12 @@ class AnchorSet {
   // Number of candidates that are not silent.
   [[nodiscard]] std::size_t answering() const noexcept;
 
-  struct View {
-    std::uint16_t id = 0;
-    std::uint8_t rate_256ths = 0;  // share of POLLs answered, averaged over about 16
-    std::uint8_t quality = 0;      // link_quality(), averaged over about 8
-    std::uint8_t weight = 0;
-    bool silent = false;
-  };
-  [[nodiscard]] View at(std::size_t index) const noexcept;
-
- private:
   static constexpr std::uint8_t kMostMissed = 15;
   struct Candidate {
     std::uint16_t id = 0;
     std::uint16_t untried = 0;  // choices since its last trial, up to kLongest
-    std::uint8_t rate = 0;
-    std::uint8_t quality = 0;
+    std::uint8_t rate = 0;      // share of POLLs answered, in 256ths, averaged over about 16
+    std::uint8_t quality = 0;   // link_quality(), averaged over about 8
     std::uint8_t weight = kNeutralWeight;
     std::uint8_t missed = kMostMissed;  // POLLs missed in a row, saturates
     std::uint8_t eager = 0;             // trials with priority over all others
@@ -99,13 +87,15 @@ class AnchorSet {
     [[nodiscard]] std::uint32_t worth() const noexcept;
     [[nodiscard]] std::uint32_t urgency() const noexcept;
   };
+  [[nodiscard]] std::span<const Candidate> candidates() const noexcept {
+    return std::span(candidates_).first(size_);
+  }
+
+ private:
   static constexpr std::uint16_t kLongest = 1023;
   static constexpr std::uint8_t kEagerTrials = 3;
 
-  [[nodiscard]] Candidate* find(std::uint16_t id) noexcept {
-    return const_cast<Candidate*>(std::as_const(*this).find(id));
-  }
-  [[nodiscard]] const Candidate* find(std::uint16_t id) const noexcept;
+  [[nodiscard]] Candidate* find(std::uint16_t id) noexcept;
   [[nodiscard]] Candidate* room() noexcept;
   [[nodiscard]] std::size_t trials(std::size_t places) noexcept;
 

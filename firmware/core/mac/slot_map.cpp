@@ -139,10 +139,7 @@ void SlotMap::continue_leases() noexcept {
   for (std::size_t slot = 0; slot < count_; ++slot) {
     const bool assigned = owners_[slot] != kNobody && owners_[slot] != kBroadcast;
     Lease& lease = leases_[slot];
-    lease.before = kNobody;
-    lease.vacant = 0;
-    lease.unheard = 0;
-    lease.awaited = assigned && !lease.heard;
+    lease = {.heard = lease.heard, .awaited = assigned && !lease.heard};
   }
 }
 

@@ -151,18 +151,18 @@ Superframe::Superframe(const groma_Schedule& schedule, const Phy& phy, bool secu
       gap_(Ticks::from_us(schedule.response_gap_us)),
       first_frame_(round_up_to_grid(guard_ + phy.before_rmarker())),
       response_spacing_(round_up_to_grid(phy.air_time(on_air(kResponseBytes)) + gap_)),
-      // A message instead of a relayed beacon takes a second MIC.
-      control_slot_(
-          round_up_to_grid(first_frame_ + phy_.after_rmarker(control_bytes_) + std::max(gap_, turnaround_)) +
-          kBeaconProcessing + (secured ? kForMic : Ticks(0))),
-      slots_start_(control_slot_ +
-                   round_up_to_grid(first_frame_ + phy_.after_rmarker(control_bytes_) + turnaround_) +
-                   kBeaconProcessing + (secured ? kForMic : Ticks(0))) {
+      end_time_(secured ? kForMic : Ticks(0)) {
+  const auto control_slot = [this](Ticks pause) {
+    // A message instead of a relayed beacon takes a second MIC.
+    return round_up_to_grid(first_frame_ + phy_.after_rmarker(control_bytes_) + pause) + kBeaconProcessing +
+           end_time_;
+  };
+  control_slot_ = control_slot(std::max(gap_, turnaround_));
+  slots_start_ = control_slot_ + control_slot(turnaround_);
   const Ticks last_frame =
       has_final_ ? final(responses_) + phy_.after_rmarker(on_air(kFinalBytes)) + std::max(gap_, turnaround_)
                  : response(responses_ - 1, responses_) + phy_.after_rmarker(on_air(kResponseBytes)) + gap_;
   tag_slot_ = round_up_to_grid(first_frame_ + last_frame);
-  if (secured) end_time_ = kForMic;
 }
 
 Ticks Superframe::response(std::size_t index, std::size_t count) const noexcept {

@@ -127,10 +127,10 @@ class Superframe {
   Ticks gap_;
   Ticks first_frame_;       // from a slot's start to the RMARKER of its first frame
   Ticks response_spacing_;  // from RMARKER to RMARKER
+  Ticks end_time_;          // after the last slot
   Ticks control_slot_;      // length of the beacon slot
   Ticks slots_start_;
   Ticks tag_slot_;
-  Ticks end_time_{};  // after the last slot
 };
 
 [[nodiscard]] inline std::span<const std::uint16_t> tags_of(const groma_Schedule& schedule) noexcept {
