@@ -192,16 +192,12 @@ Verdict Coexistence::request_merge(bool may) noexcept {
   return due ? Verdict::kRequestMerge : Verdict::kIgnore;
 }
 
-// A rank exists once in a site, so its turn is free in the other session. An acting master shares its turn
-// with the schedule's master, as in MasterElection::has_shared_turn().
+// A rank exists once in a site, so its turn is free in the other session.
 bool Coexistence::may_request_merge(std::uint32_t number) const noexcept {
-  const auto rank = election_.rank();
-  if (!rank || election_.dissolving()) return false;
-  const std::uint32_t turn = number % election_.beaconers();
-  const bool even = number / election_.beaconers() % 2 == 0;
-  if (turn == 0) return election_.leads();
-  if (turn == *rank) return !election_.leads() || even;
-  return *rank == 0 && !election_.leads() && turn == election_.rank_of_id(election_.master()) && !even;
+  if (!election_.rank() || election_.dissolving()) return false;
+  const bool open = election_.turn(number) == 0;
+  if (election_.leads() && (open || *election_.rank() == 0)) return open;
+  return election_.owns_turn(number);
 }
 
 // ---- scans and radio silence

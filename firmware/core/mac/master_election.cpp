@@ -229,23 +229,21 @@ void MasterElection::on_absence(std::uint32_t number) noexcept {
 
 // The ranks beyond the first have one turn each. An acting master of such a rank uses every second one of its
 // turns; the schedule's master, which has no turn, uses the others. So any two of them can hear each other.
+bool MasterElection::owns_turn(std::uint32_t number) const noexcept {
+  if (!rank_ || turn(number) == 0) return false;
+  if (*rank_ != 0) return turn(number) == *rank_ && (even(number) || !leads());
+  return turn(number) == (leads() ? competitor_ : rank_of_id(master_)) && !even(number);
+}
+
 bool MasterElection::has_shared_turn(std::uint32_t number) const noexcept {
-  if (!rank_ || role_ == Role::kSearching || dissolving_) return false;
-  const std::uint32_t turn = number % beaconers_;
-  const bool even = number / beaconers_ % 2 == 0;
-  if (leads()) {
-    if (*rank_ != 0) return turn == *rank_ && even;
-    return competitor_ != 0 && turn == competitor_ && !even;
-  }
-  if (age(number) > patience()) return false;
-  if (*rank_ != 0) return turn == *rank_;
-  return turn != 0 && turn == rank_of_id(master_) && !even;
+  const bool may = role_ != Role::kSearching && !dissolving_ && (leads() || age(number) <= patience());
+  return may && owns_turn(number);
 }
 
 bool MasterElection::parent_due(std::uint32_t number, bool shared) const noexcept {
   if (role_ != Role::kFollowing) return false;
   if (hop_ <= 1) return !shared;
-  return shared && number % beaconers_ == rank_of_id(parent_);
+  return shared && turn(number) == rank_of_id(parent_);
 }
 
 }  // namespace groma::mac

@@ -71,6 +71,12 @@ class MasterElection {
   [[nodiscard]] bool begin(std::uint32_t number) noexcept;
   // The radio was off: the knowledge of an acting master may be outdated.
   void on_absence(std::uint32_t number) noexcept;
+  // Whose turn the shared slot of superframe `number` is: 0: open to all; n: of the back-up of rank n.
+  [[nodiscard]] std::uint32_t turn(std::uint32_t number) const noexcept { return number % beaconers_; }
+  // The turns of a rank are even and odd alternately.
+  [[nodiscard]] bool even(std::uint32_t number) const noexcept { return number / beaconers_ % 2 == 0; }
+  // The turn is this node's.
+  [[nodiscard]] bool owns_turn(std::uint32_t number) const noexcept;
   // This node sends a beacon in the shared slot of superframe `number`.
   [[nodiscard]] bool has_shared_turn(std::uint32_t number) const noexcept;
   // In superframe `number` a beacon of the followed path is due, in the shared slot or in the beacon slot.

@@ -140,8 +140,7 @@ void Station::prepare_control() noexcept {
       authenticator_.expect_sent(site_.id, relays ? FrameType::kBeacon : FrameType::kJoin,
                                  {number_, Place::kShared});
     }
-  } else if (const std::size_t turn = superframe_.shared_turn(number_);
-             phase_ == Phase::kShared && turn != 0) {
+  } else if (const std::uint32_t turn = election_.turn(number_); phase_ == Phase::kShared && turn != 0) {
     authenticator_.expect_received(site_.schedule->backup_ids[turn - 1], FrameType::kBeacon, control_place());
   }
 }
@@ -257,13 +256,12 @@ std::optional<Action> Station::shared_slot(ClockTime now) noexcept {
   if (timed(number_)) {
     const ClockTime timestamp = timestamp_not_after(due);
     if (fresh() && election_.has_shared_turn(number_)) {
-      const bool odd = number_ / (site_.schedule->backup_ids_count + 1U) % 2 != 0;
-      if (odd && !election_.leads()) {
+      if (!election_.even(number_) && !election_.leads()) {
         if (const auto action = from_channels(timestamp, true)) return action;
       }
       return send_beacon(due, true);
     }
-    if (superframe_.shared_turn(number_) == 0) {
+    if (election_.turn(number_) == 0) {
       if (const auto action = from_channels(timestamp, false)) return action;
     }
   }

@@ -144,7 +144,6 @@ Superframe::Superframe(const groma_Schedule& schedule, const Phy& phy, bool secu
       slot_count_(slot_count_of(schedule)),
       responses_(schedule.responses != 0 ? schedule.responses
                                          : std::min<std::size_t>(schedule.anchor_ids_count, kMaxAnchors)),
-      backups_(schedule.backup_ids_count),
       control_bytes_(on_air(std::max(beacon_bytes(slot_count_, true), data_bytes(kMaxDataBytes)))),
       guard_(Ticks::from_us(schedule.guard_us)),
       turnaround_(Ticks::from_us(schedule.turn_round_us)),

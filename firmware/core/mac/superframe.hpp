@@ -96,11 +96,6 @@ class Superframe {
     return of.merge_request ? of.place : (of.shared ? shared() : beacon()) + Ticks(of.tx_offset_dtu);
   }
 
-  // The turn of the shared slot: 0: open to all; n: of the back-up of rank n, from 1.
-  [[nodiscard]] std::size_t shared_turn(std::uint32_t superframe) const noexcept {
-    return superframe % (backups_ + 1);
-  }
-
   // From the RMARKER of a POLL that names `count` anchors to that of the RESPONSE at `index`, or of the
   // FINAL.
   [[nodiscard]] Ticks response(std::size_t index, std::size_t count) const noexcept;
@@ -120,7 +115,6 @@ class Superframe {
   std::size_t mic_bytes_;
   std::size_t slot_count_;
   std::size_t responses_;
-  std::uint32_t backups_;
   std::size_t control_bytes_;
   Ticks guard_;
   Ticks turnaround_;
