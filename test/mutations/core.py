@@ -154,7 +154,7 @@ MUTATIONS = [
     ("replay guard: any returned nonce accepted", "firmware/core/mac/replay_guard.cpp", " && beacon.challenge_response->nonce == nonce_", "", AUTHENTICATOR_TEST),
     ("replay guard: nonce used twice", "firmware/core/mac/replay_guard.cpp", "(*site_.nonces)++", "*site_.nonces", AUTHENTICATOR_TEST),
     ("replay guard: state kept over a new search", "firmware/core/mac/replay_guard.cpp", "  fresh_ = site_.network_key.empty();\n", "", AUTHENTICATOR_TEST),
-    ("security: frames without a MIC accepted", STATION, "counters_.unsecured_frames);\n    return false;\n", "counters_.unsecured_frames);\n    return !frame.secured;\n", ATTACK_TEST),
+    ("security: frames without a MIC accepted", STATION, "    return drop(frame.secured ? counters_.foreign_frames : counters_.unsecured_frames);\n", "    return !frame.secured || drop(counters_.foreign_frames);\n", ATTACK_TEST),
     ("security: MIC not verified", STATION, "authenticator_.fits(reception.frame, frame.body, sent_at, receivers)", "(beacon == nullptr || authenticator_.fits(reception.frame, frame.body, sent_at, receivers))", ATTACK_TEST),
     ("security: MIC of beacons not verified", STATION, "authenticator_.fits(reception.frame, frame.body, sent_at, receivers)", "(beacon != nullptr || authenticator_.fits(reception.frame, frame.body, sent_at, receivers))", ATTACK_TEST),
     ("security: replayed beacons accepted", STATION, "return ahead >= -most ? Trust::kFull : Trust::kNone;", "return Trust::kFull;", ATTACK_TEST),

@@ -34,10 +34,6 @@ constexpr bool is_whole(std::span<const std::uint8_t> frame) noexcept {
   return frame.size() >= kHeaderBytes + kCodeBytes;
 }
 
-std::span<const std::uint8_t> without_code(std::span<const std::uint8_t> frame) noexcept {
-  return frame.first(frame.size() - kCodeBytes);
-}
-
 // Returns false for a place before `next`, which counts the places of a session.
 bool advance(std::uint64_t& next, Place place) noexcept {
   const std::uint64_t at = std::uint64_t{place.superframe} << 8 | place.slot;
@@ -123,7 +119,7 @@ std::optional<security::Block> FrameAuthenticator::begin(const std::optional<Key
   const bool prepared = expected && expected->nonce == nonce && key == session_key_;
   const auto parts = prepared ? std::optional(expected->prepared) : prepare(*cipher_, *key, nonce);
   if (!parts) return std::nullopt;
-  security::begin_code(*cipher_, *key, parts->first, without_code(frame));
+  security::begin_code(*cipher_, *key, parts->first, frame.first(frame.size() - kCodeBytes));
   return parts->mask;
 }
 

@@ -341,11 +341,9 @@ void Station::next_of_others() noexcept {
 }
 
 Action Station::merge_request(ClockTime timestamp) noexcept {
-  const std::int64_t duration = superframe_.duration().count();
-  const std::int64_t time = sync_.network_time(timestamp).count();
   Beacon beacon = make_beacon(Ticks(0), true);
-  beacon.superframe = static_cast<std::uint32_t>(time / duration);
-  beacon.place = Ticks(time % duration);
+  beacon.superframe = superframe_at(timestamp);
+  beacon.place = Ticks(sync_.network_time(timestamp).count() % superframe_.duration().count());
   beacon.merge_request = true;
   return transmit(timestamp, kBroadcast, beacon, place_of(beacon), others_->merge_target);
 }

@@ -14,6 +14,12 @@ SlotKind slot_kind(const Body& body, Place place) noexcept {
   return std::holds_alternative<Final>(body) ? SlotKind::kFinal : SlotKind::kResponse;
 }
 
+// Counts a frame of which nothing is used.
+bool drop(std::uint32_t& counter) noexcept {
+  ++counter;
+  return false;
+}
+
 }  // namespace
 
 bool Station::overhear(const Accepted& frame, const Reception& reception) noexcept {
@@ -30,14 +36,9 @@ void Station::on_stray(const Frame& frame) noexcept {
 // ---- beacons
 
 bool Station::take_beacon(const Accepted& frame, const Beacon& beacon, const Reception& reception) noexcept {
-  if (!reception.timestamp_valid) {
-    ++counters_.bad_stamps;
-    return false;
-  }
-  if (beacon.schedule_hash == hash_ && beacon.slots != superframe_.slot_count()) {
-    ++counters_.stale_frames;
-    return false;
-  }
+  if (!reception.timestamp_valid) return drop(counters_.bad_stamps);
+  if (beacon.schedule_hash == hash_ && beacon.slots != superframe_.slot_count())
+    return drop(counters_.stale_frames);
   const bool searching = sync_.state() == SyncState::kSearching;
   const Ticks ahead = searching ? Ticks(0) : sync_.ahead_by(beacon, reception.timestamp);
   const bool requested = keyed() && beacon.merge_request;
@@ -54,8 +55,7 @@ bool Station::take_beacon(const Accepted& frame, const Beacon& beacon, const Rec
                                       : coexistence_.judge(frame.source, beacon, ahead, reception.timestamp);
   switch (verdict) {
     case Verdict::kStale:
-      ++counters_.stale_frames;
-      return false;
+      return drop(counters_.stale_frames);
     case Verdict::kIgnore:
       return false;
     case Verdict::kRequestMerge:
@@ -81,10 +81,8 @@ bool Station::take_beacon(const Accepted& frame, const Beacon& beacon, const Rec
     sync_.follow();
     // A beacon later than its place may have been delayed by an attacker.
     const bool persuasive = !keyed() || ahead >= Ticks(0);
-    if (!sync_.on_beacon(beacon, reception, verdict == Verdict::kSwitch, persuasive)) {
-      ++counters_.bad_stamps;
-      return false;
-    }
+    if (!sync_.on_beacon(beacon, reception, verdict == Verdict::kSwitch, persuasive))
+      return drop(counters_.bad_stamps);
   }
   ++counters_.beacons_received;
   take_content(frame, beacon, adopts);
@@ -121,13 +119,12 @@ std::optional<Station::Accepted> Station::accept(const Reception& reception, Pla
   std::optional<Accepted> frame(std::in_place);
   if (const auto error = parse(reception.frame, *frame)) {
     ++(*error == ParseError::kForeign ? counters_.foreign_frames : counters_.malformed_frames);
-    frame.reset();
   } else if (frame->network != site_.network_id) {
     ++counters_.foreign_frames;
-    frame.reset();
-  } else if (!is_for_this_node(*frame) || !authenticate(*frame, reception, place, unused_slot)) {
-    frame.reset();
+  } else if (is_for_this_node(*frame) && authenticate(*frame, reception, place, unused_slot)) {
+    return frame;
   }
+  frame.reset();
   return frame;
 }
 
@@ -138,10 +135,8 @@ bool Station::is_for_this_node(const Frame& frame) const noexcept {
 
 bool Station::authenticate(Accepted& frame, const Reception& reception, Place place,
                            bool unused_slot) noexcept {
-  if (frame.secured != keyed()) {
-    ++(frame.secured ? counters_.foreign_frames : counters_.unsecured_frames);
-    return false;
-  }
+  if (frame.secured != keyed())
+    return drop(frame.secured ? counters_.foreign_frames : counters_.unsecured_frames);
   if (!keyed()) return true;
   const auto* beacon = std::get_if<Beacon>(&frame.body);
   if (beacon == nullptr && (phase_ == Phase::kSearching || phase_ == Phase::kScanning)) {
