@@ -32,7 +32,8 @@ Eigen::Vector3d between(const AnchorLink& link, const Eigen::VectorXd& positions
 
 double residual_m(const AnchorLink& link, const Eigen::VectorXd& positions_m,
                   const model::RangePriors& priors) {
-  return link.range_m - priors.beta_m.mean - priors.gamma.mean * between(link, positions_m).norm();
+  const model::TermVector means = model::means_of(priors);
+  return link.range_m - model::offset_m(means) - model::scale_of(means) * between(link, positions_m).norm();
 }
 
 // Covariance of anchor a's unknowns with the position of anchor b.
@@ -159,11 +160,10 @@ std::vector<AnchorLink> gather_links(std::span<const model::AnchorRange> ranges,
   std::vector<AnchorLink> out;
   for (const auto& [pair, sum] : sums) {
     const double range_m = sum.weighted_m / sum.weight;
-    out.push_back({.from = pair.first,
-                   .to = pair.second,
-                   .range_m = range_m,
-                   .variance_m2 = 1.0 / sum.weight + square(kLinkSigmaFloor_m) + square(priors.beta_m.sigma) +
-                                  square(priors.gamma.sigma * range_m)});
+    double variance_m2 = 1.0 / sum.weight + square(kLinkSigmaFloor_m);
+    const model::TermVector sigmas_m = model::by_terms(range_m).cwiseProduct(model::sigmas_of(priors));
+    for (const double sigma_m : sigmas_m) variance_m2 += square(sigma_m);
+    out.push_back({.from = pair.first, .to = pair.second, .range_m = range_m, .variance_m2 = variance_m2});
   }
   return out;
 }
@@ -190,7 +190,7 @@ AnchorBelief fuse_links(const AnchorBelief& belief, std::span<const AnchorLink> 
     Eigen::VectorXd descent = information * (mean - found);
     for (const AnchorLink& link : links) {
       const Eigen::Vector3d direction = between(link, found).normalized();
-      const Eigen::Vector3d j = priors.gamma.mean * direction;
+      const Eigen::Vector3d j = model::scale_of(model::means_of(priors)) * direction;
       const Eigen::Index a = position_of(link.from);
       const Eigen::Index b = position_of(link.to);
       double variance_m2 = link.variance_m2;

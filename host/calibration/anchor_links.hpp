@@ -18,7 +18,7 @@ struct AnchorLink {
   std::size_t from = 0;  // indices of the anchors
   std::size_t to = 0;
   double range_m = 0.0;
-  double variance_m2 = 0.0;  // of the mean, including the priors of beta and gamma of such a pair
+  double variance_m2 = 0.0;  // of the mean, including the priors of such a pair's terms
 };
 
 // Leaves out ranges that are invalid, name an unknown anchor, or name one anchor twice.

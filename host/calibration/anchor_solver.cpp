@@ -18,11 +18,11 @@ using model::square;
 double prior_cost(const AnchorProblem& problem, const AnchorVector& anchor) {
   const Eigen::Vector3d offset_m = anchor.head<3>() - problem.position.mean_m;
   double cost = 0.5 * offset_m.dot(problem.position.information * offset_m);
-  const model::RangePriors& priors = problem.priors;
+  const model::TermVector means = model::means_of(problem.priors);
+  const model::TermVector sigmas = model::sigmas_of(problem.priors);
   for (std::size_t tag = 0; tag < problem.tag_count; ++tag) {
-    const double beta = anchor(beta_index(tag)) - priors.beta_m.mean;
-    const double gamma = anchor(gamma_index(tag, problem.tag_count)) - priors.gamma.mean;
-    cost += 0.5 * square(beta / priors.beta_m.sigma) + 0.5 * square(gamma / priors.gamma.sigma);
+    const model::TermVector off = terms_of(anchor, tag, problem.tag_count) - means;
+    cost += 0.5 * off.cwiseQuotient(sigmas).squaredNorm();
   }
   if (problem.los_states == nullptr || !problem.los_states->has_long_nlos) return cost;
   const LongNlosPrior& long_nlos = problem.los_states->prior;
@@ -48,7 +48,8 @@ class Linearizer {
       : problem_(problem),
         kernels_(kernels),
         columns_(problem.rows, problem.tag_count),
-        prior_(information_of_priors(problem)) {}
+        prior_(information_of_priors(problem)),
+        prior_mean_(anchor_at(problem.position.mean_m, problem.tag_count, problem.priors)) {}
 
   // Reuses the memory of `out`.
   void linearize(const AnchorVector& anchor, NormalEquations& out) const {
@@ -69,40 +70,43 @@ class Linearizer {
 
  private:
   void add_rows(std::size_t tag, const AnchorVector& anchor, CostSum& cost, NormalEquations& out) const {
-    const double beta_m = anchor(beta_index(tag));
-    const double gamma = anchor(gamma_index(tag, problem_.tag_count));
-    // Sums over the ranges of weight x x^T (lower triangle) and of slope x, with x = (direction, 1,
-    // distance): the derivative of eq. (12) except for gamma and sign.
+    const model::TermVector terms = terms_of(anchor, tag, problem_.tag_count);
+    // Sums over the ranges of weight x x^T (lower triangle) and of slope x. Times `factor`, x = (direction,
+    // by_terms()) is the derivative of eq. (12).
+    PairRow factor = PairRow::Ones();
+    factor.head<3>().setConstant(-model::scale_of(terms));
     PairBlock square = PairBlock::Zero();
     PairRow slope = PairRow::Zero();
     for (Eigen::Index block = 0; block < columns_.blocks(tag); ++block) {
-      std::array<Lanes, 5> x;
+      std::array<Lanes, model::kPairSize> x;
       for (std::size_t axis = 0; axis < 3; ++axis) {
         const auto column = static_cast<Eigen::Index>(axis);
         x[axis] = columns_.at(tag, block, RowColumns::kAntenna + column) - anchor(column);
       }
-      x[3] = Lanes::Ones();
-      x[4] = (x[0].square() + x[1].square() + x[2].square()).sqrt();
-      const Lanes inverse = (x[4] > model::kMinDistance_m).select(1.0 / x[4], 0.0);
+      const Lanes distance_m = (x[0].square() + x[1].square() + x[2].square()).sqrt();
+      const Lanes inverse = (distance_m > model::kMinDistance_m).select(1.0 / distance_m, 0.0);
       for (std::size_t axis = 0; axis < 3; ++axis) x[axis] *= inverse;
-      const Lanes residual_m = columns_.at(tag, block, RowColumns::kRange) - (gamma * x[4] + beta_m);
-      const KernelLanes value = value_at(tag, block, gamma, x, residual_m, anchor, out);
+      model::by_terms<Lanes>(Lanes::Ones(), distance_m, x, &x[3]);
+      Lanes expected_m = terms(0) * x[3];
+      for (Eigen::Index term = 1; term < terms.size(); ++term)
+        expected_m += terms(term) * x[static_cast<std::size_t>(3 + term)];
+      const Lanes residual_m = columns_.at(tag, block, RowColumns::kRange) - expected_m;
+      const KernelLanes value = value_at(tag, block, factor, x, residual_m, anchor, out);
       cost.add(value.density, columns_.rows_in(tag, block));
-      for (Eigen::Index column = 0; column < 5; ++column) {
+      for (Eigen::Index column = 0; column < factor.size(); ++column) {
         const Lanes& by = x[static_cast<std::size_t>(column)];
         const Lanes weighted = value.weight * by;
-        for (Eigen::Index row = column; row < 5; ++row) {
+        for (Eigen::Index row = column; row < factor.size(); ++row) {
           square(row, column) += (weighted * x[static_cast<std::size_t>(row)]).sum();
         }
         slope(column) += (value.slope * by).sum();
       }
     }
-    const PairRow factor{-gamma, -gamma, -gamma, 1.0, 1.0};
-    const std::array<Eigen::Index, 5> index = pair_index(tag, problem_.tag_count);
-    for (Eigen::Index column = 0; column < 5; ++column) {
+    const PairIndex index = pair_index(tag, problem_.tag_count);
+    for (Eigen::Index column = 0; column < factor.size(); ++column) {
       const Eigen::Index to = index[static_cast<std::size_t>(column)];
       out.gradient(to) -= factor(column) * slope(column);
-      for (Eigen::Index row = column; row < 5; ++row) {
+      for (Eigen::Index row = column; row < factor.size(); ++row) {
         out.information(index[static_cast<std::size_t>(row)], to) +=
             factor(row) * factor(column) * square(row, column);
       }
@@ -110,8 +114,8 @@ class Linearizer {
   }
 
   // Kernel values of one block; adds its long NLOS parts to the equations.
-  [[nodiscard]] KernelLanes value_at(std::size_t tag, Eigen::Index block, double gamma,
-                                     const std::array<Lanes, 5>& x, const Lanes& residual_m,
+  [[nodiscard]] KernelLanes value_at(std::size_t tag, Eigen::Index block, const PairRow& factor,
+                                     const std::array<Lanes, model::kPairSize>& x, const Lanes& residual_m,
                                      const AnchorVector& anchor, NormalEquations& out) const {
     Lanes variance_m2 = Lanes::Zero();
     Lanes share = Lanes::Ones();
@@ -119,8 +123,8 @@ class Linearizer {
       const auto spread_m2 = [&](Eigen::Index term) {
         return columns_.at(tag, block, RowColumns::kSpread + term);
       };
-      const Lanes j_x = gamma * x[0];
-      const Lanes j_y = gamma * x[1];
+      const Lanes j_x = factor(0) * x[0];
+      const Lanes j_y = factor(1) * x[1];
       variance_m2 =
           (j_x * j_x * spread_m2(0) + 2.0 * j_x * j_y * spread_m2(1) + j_y * j_y * spread_m2(2)).max(0.0);
       const double scale_m = kernels_[tag].shape().scale_m;
@@ -143,7 +147,8 @@ class Linearizer {
       value.slope(lane) = whole.seen.slope;
       value.weight(lane) = whole.seen.weight;
       if (!(whole.nlos_weight > 0.0)) continue;
-      const PairRow j{-gamma * x[0](lane), -gamma * x[1](lane), -gamma * x[2](lane), 1.0, x[4](lane)};
+      PairRow j = factor;
+      for (std::size_t k = 0; k < x.size(); ++k) j(static_cast<Eigen::Index>(k)) *= x[k](lane);
       const LongNlosRow nlos(j, problem_.los_states->rows[row], tag, problem_.tag_count);
       nlos.add(-whole.nlos_slope, out.gradient);
       nlos.add_square(whole.nlos_weight, out.information);
@@ -152,16 +157,13 @@ class Linearizer {
   }
 
   void add_prior_gradient(const AnchorVector& anchor, Eigen::VectorXd& gradient) const {
-    const auto tags = static_cast<Eigen::Index>(problem_.tag_count);
-    const model::RangePriors& priors = problem_.priors;
+    const Eigen::Index common = excess_index(problem_.tag_count);
+    const Eigen::Index terms = common - 3;
     gradient.head<3>() += problem_.position.information * (anchor.head<3>() - problem_.position.mean_m);
-    gradient.segment(3, tags).array() +=
-        1.0 / square(priors.beta_m.sigma) * (anchor.segment(3, tags).array() - priors.beta_m.mean);
-    gradient.segment(3 + tags, tags).array() +=
-        1.0 / square(priors.gamma.sigma) * (anchor.segment(3 + tags, tags).array() - priors.gamma.mean);
+    gradient.segment(3, terms) +=
+        prior_.diagonal().segment(3, terms).cwiseProduct(anchor.segment(3, terms) - prior_mean_.tail(terms));
     if (problem_.los_states == nullptr || !problem_.los_states->has_long_nlos) return;
     const LongNlosPrior& long_nlos = problem_.los_states->prior;
-    const Eigen::Index common = excess_index(problem_.tag_count);
     const Eigen::Index episodes = anchor.size() - common - 1;
     gradient(common) += (anchor(common) - long_nlos.mean_m) / square(long_nlos.sigma_m);
     gradient.tail(episodes) += anchor.tail(episodes) / square(long_nlos.episode_sigma_m);
@@ -171,6 +173,7 @@ class Linearizer {
   std::span<const RobustKernel> kernels_;
   RowColumns columns_;
   Eigen::MatrixXd prior_;
+  AnchorVector prior_mean_;  // without the excesses
 };
 
 // Solves the damped equations; false if the damped information is not positive definite. Cholesky in place:
@@ -212,8 +215,8 @@ Eigen::MatrixXd information_of_priors(const AnchorProblem& problem) {
   const Eigen::Index extra = problem.los_states != nullptr ? problem.los_states->extra_unknowns() : 0;
   Eigen::MatrixXd out = Eigen::MatrixXd::Zero(common + extra, common + extra);
   out.topLeftCorner<3, 3>() = problem.position.information;
-  out.diagonal().segment(3, tags).setConstant(1.0 / square(problem.priors.beta_m.sigma));
-  out.diagonal().segment(3 + tags, tags).setConstant(1.0 / square(problem.priors.gamma.sigma));
+  out.diagonal().segment(3, common - 3) =
+      model::per_tag(model::sigmas_of(problem.priors).cwiseAbs2().cwiseInverse(), tags);
   if (extra == 0) return out;
   out(common, common) = 1.0 / square(problem.los_states->prior.sigma_m);
   out.diagonal().tail(extra - 1).setConstant(1.0 / square(problem.los_states->prior.episode_sigma_m));
@@ -269,15 +272,6 @@ AnchorSolution solve_anchor(const AnchorProblem& problem, std::span<const Robust
   }
   out.moved_sigmas = length_in_sigmas(here, out.anchor - start);
   return out;
-}
-
-AnchorVector anchor_at(const Eigen::Vector3d& position_m, std::size_t tag_count,
-                       const model::RangePriors& priors) {
-  AnchorVector anchor(3 + 2 * static_cast<Eigen::Index>(tag_count));
-  anchor.head<3>() = position_m;
-  anchor.segment(3, static_cast<Eigen::Index>(tag_count)).setConstant(priors.beta_m.mean);
-  anchor.tail(static_cast<Eigen::Index>(tag_count)).setConstant(priors.gamma.mean);
-  return anchor;
 }
 
 }  // namespace groma::calibration

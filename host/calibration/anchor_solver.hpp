@@ -48,31 +48,31 @@ struct AnchorLos {
   LongNlosPrior prior;
   RobustKernel long_nlos;  // of a long NLOS residual without its excess
 
-  // Unknowns beside position, beta and gamma.
+  // Unknowns beside position and terms.
   [[nodiscard]] Eigen::Index extra_unknowns() const noexcept {
     return has_long_nlos ? 1 + static_cast<Eigen::Index>(episodes) : 0;
   }
 };
 
-// Unknowns of one anchor: position (m, map), beta of each tag (m), gamma of each tag: 3 + 2T. With long NLOS,
+// Unknowns of one anchor: position (m, map) and terms of each tag, model::anchor_size(T). With long NLOS,
 // then the common excess and that of each episode (m), as in AnchorLos.
 using AnchorVector = Eigen::VectorXd;
+using model::anchor_at;
 
-[[nodiscard]] inline Eigen::Index beta_index(std::size_t tag) noexcept {
-  return 3 + static_cast<Eigen::Index>(tag);
-}
-[[nodiscard]] inline Eigen::Index gamma_index(std::size_t tag, std::size_t tag_count) noexcept {
-  return 3 + static_cast<Eigen::Index>(tag_count + tag);
-}
 [[nodiscard]] inline Eigen::Index excess_index(std::size_t tag_count) noexcept {
-  return 3 + 2 * static_cast<Eigen::Index>(tag_count);
+  return model::anchor_size(static_cast<Eigen::Index>(tag_count));
 }
 [[nodiscard]] inline Eigen::Index episode_index(std::int32_t episode, std::size_t tag_count) noexcept {
   return excess_index(tag_count) + 1 + episode;
 }
-// Position, beta and gamma of one pair.
-[[nodiscard]] inline std::array<Eigen::Index, 5> pair_index(std::size_t tag, std::size_t tag_count) noexcept {
-  return {0, 1, 2, beta_index(tag), gamma_index(tag, tag_count)};
+// Position and terms of one pair.
+using PairIndex = std::array<Eigen::Index, model::kPairSize>;
+[[nodiscard]] inline PairIndex pair_index(std::size_t tag, std::size_t tag_count) noexcept {
+  return model::pair_indices(static_cast<Eigen::Index>(tag), static_cast<Eigen::Index>(tag_count));
+}
+[[nodiscard]] inline model::TermVector terms_of(const AnchorVector& anchor, std::size_t tag,
+                                                std::size_t tag_count) noexcept {
+  return model::terms_of(anchor, static_cast<Eigen::Index>(tag), static_cast<Eigen::Index>(tag_count));
 }
 
 // Gaussian prior of the position; a zero eigenvalue leaves a direction open.
@@ -101,8 +101,7 @@ struct AnchorFit {
 // Eq. (12) at the antenna's position.
 [[nodiscard]] inline model::AntennaPrediction predict(const Observation& row, const AnchorVector& anchor,
                                                       std::size_t tag_count) noexcept {
-  return model::predict_antenna_range(row.tag_m, anchor.head<3>(), anchor(beta_index(row.tag)),
-                                      anchor(gamma_index(row.tag, tag_count)));
+  return model::predict_antenna_range(row.tag_m, anchor.head<3>(), terms_of(anchor, row.tag, tag_count));
 }
 // Measured minus predicted.
 [[nodiscard]] inline double residual_m(const Observation& row, const AnchorVector& anchor,
@@ -117,8 +116,8 @@ struct AnchorFit {
   const Eigen::Vector3d spread_m2 = row.pose_spread_m2.cast<double>();
   if (!(spread_m2(0) + spread_m2(2) > 0.0)) return 0.0;
   const Eigen::Vector3d way = row.tag_m - anchor.head<3>();
-  const Eigen::Vector2d j =
-      anchor(gamma_index(row.tag, tag_count)) / std::max(way.norm(), model::kMinDistance_m) * way.head<2>();
+  const Eigen::Vector2d j = model::scale_of(terms_of(anchor, row.tag, tag_count)) /
+                            std::max(way.norm(), model::kMinDistance_m) * way.head<2>();
   const double variance_m2 =
       j.x() * j.x() * spread_m2(0) + 2.0 * j.x() * j.y() * spread_m2(1) + j.y() * j.y() * spread_m2(2);
   return std::max(0.0, variance_m2);
@@ -180,13 +179,13 @@ struct RowValue {
   return out;
 }
 
-using PairRow = Eigen::Matrix<double, 5, 1>;
-using PairBlock = Eigen::Matrix<double, 5, 5>;
+using PairRow = Eigen::Matrix<double, model::kPairSize, 1>;
+using PairBlock = Eigen::Matrix<double, model::kPairSize, model::kPairSize>;
 // Adds weight J J^T to a lower triangle.
 inline void add_square(const PairRow& j, double weight, PairBlock& lower) noexcept {
-  for (Eigen::Index column = 0; column < 5; ++column) {
+  for (Eigen::Index column = 0; column < j.size(); ++column) {
     const double weighted = weight * j(column);
-    for (Eigen::Index row = column; row < 5; ++row) lower(row, column) += weighted * j(row);
+    for (Eigen::Index row = column; row < j.size(); ++row) lower(row, column) += weighted * j(row);
   }
 }
 
@@ -194,37 +193,34 @@ inline void add_square(const PairRow& j, double weight, PairBlock& lower) noexce
 struct RowAt {
   model::AntennaPrediction predicted;
   double residual_m = 0.0;
-  double gamma = 1.0;
   double noise_share = 1.0;
   RowValue value = {};
-  PairRow j = PairRow::Zero();  // derivative of eq. (12) by position, beta and gamma of its pair
+  PairRow j = PairRow::Zero();  // derivative of eq. (12) by position and terms of its pair
 };
 [[nodiscard]] inline RowAt row_at(const AnchorFit& fit, const Observation& row) noexcept {
   const std::size_t tags = fit.problem.tag_count;
   RowAt out{.predicted = predict(row, fit.anchor, tags)};
   out.residual_m = row.range_m - out.predicted.range_m;
-  out.gamma = fit.anchor(gamma_index(row.tag, tags));
   const RobustKernel& kernel = fit.kernels[row.tag];
   const double variance_m2 = pose_variance_m2(row, fit.anchor, tags);
   out.noise_share = noise_share(kernel, variance_m2);
   out.value = value_of(fit.problem, row.index, stretched(kernel, out.noise_share, out.residual_m),
                        out.residual_m, fit.anchor, variance_m2);
-  out.j << -out.gamma * out.predicted.direction, 1.0, out.predicted.distance_m;
+  out.j << -out.predicted.scale * out.predicted.direction, out.predicted.d_terms;
   return out;
 }
 
 // Derivative of a long NLOS range: also by the two parts of its excess.
 struct LongNlosRow {
-  Eigen::Matrix<double, 7, 1> derivative;
-  std::array<Eigen::Index, 7> index{};  // of the anchor's unknowns
-  std::size_t size = 6;                 // 7 in an episode
+  Eigen::Matrix<double, model::kPairSize + 2, 1> derivative;
+  std::array<Eigen::Index, model::kPairSize + 2> index{};  // of the anchor's unknowns
+  std::size_t size = model::kPairSize + 1;                 // one more in an episode
 
   LongNlosRow(const PairRow& j, const RangeLos& los_states, std::size_t tag, std::size_t tag_count) noexcept {
     derivative << j, 1.0, 1.0;
-    index = {0, 1, 2, beta_index(tag), gamma_index(tag, tag_count), excess_index(tag_count), 0};
-    if (los_states.episode == kNoEpisode) return;
-    index[6] = episode_index(los_states.episode, tag_count);
-    size = 7;
+    const PairIndex pair = pair_index(tag, tag_count);
+    *std::copy(pair.begin(), pair.end(), index.begin()) = excess_index(tag_count);
+    if (los_states.episode != kNoEpisode) index[size++] = episode_index(los_states.episode, tag_count);
   }
   // Adds weight J J^T.
   void add_square(double weight, Eigen::MatrixXd& out) const noexcept {
@@ -323,9 +319,5 @@ struct AnchorSolution {
 // always finite.
 [[nodiscard]] AnchorSolution solve_anchor(const AnchorProblem& problem, std::span<const RobustKernel> kernels,
                                           const AnchorVector& start, int max_iterations);
-
-// The position given, biases at their prior means.
-[[nodiscard]] AnchorVector anchor_at(const Eigen::Vector3d& position_m, std::size_t tag_count,
-                                     const model::RangePriors& priors);
 
 }  // namespace groma::calibration

@@ -37,14 +37,14 @@ model::RangePriors usable_priors(const model::RangePriors& given) {
   const auto sigma = [](double value, double instead) {
     return std::max(std::isfinite(value) && value > 0.0 ? value : instead, 1e-6);
   };
-  const auto usable = [&](const model::ScalarPrior& prior, const model::ScalarPrior& instead) {
-    return model::ScalarPrior{std::isfinite(prior.mean) ? prior.mean : instead.mean,
-                              sigma(prior.sigma, instead.sigma)};
-  };
-  model::RangePriors out{.sigma_m = std::max(sigma(given.sigma_m, fallback.sigma_m), 1e-3),
-                         .beta_m = usable(given.beta_m, fallback.beta_m),
-                         .gamma = usable(given.gamma, fallback.gamma)};
-  if (!(out.gamma.mean > 0.1)) out.gamma.mean = fallback.gamma.mean;
+  model::RangePriors out = given;
+  out.sigma_m = std::max(sigma(given.sigma_m, fallback.sigma_m), 1e-3);
+  for (const model::PairTerm& term : model::kPairTerms) {
+    model::ScalarPrior& prior = out.*term.prior;
+    const model::ScalarPrior& instead = fallback.*term.prior;
+    prior.sigma = sigma(prior.sigma, instead.sigma);
+    if (!std::isfinite(prior.mean) || (term.neutral > 0.0 && prior.mean <= 0.1)) prior.mean = instead.mean;
+  }
   return out;
 }
 
@@ -192,21 +192,6 @@ std::vector<Eigen::MatrixXd> join_survey(const Drive& drive, Site& site, std::sp
                     gather_links(drive.anchor_ranges, ids, priors), priors);
 }
 
-std::vector<model::PairBias> pair_biases(const AnchorVector& anchor, const Eigen::MatrixXd& covariance,
-                                         std::span<const model::Tag> tags) {
-  std::vector<model::PairBias> out;
-  for (std::size_t tag = 0; tag < tags.size(); ++tag) {
-    const Eigen::Index beta = beta_index(tag);
-    const Eigen::Index gamma = gamma_index(tag, tags.size());
-    out.push_back({.tag_id = tags[tag].id,
-                   .beta_m = anchor(beta),
-                   .beta_sigma_m = std::sqrt(covariance(beta, beta)),
-                   .gamma = anchor(gamma),
-                   .gamma_sigma = std::sqrt(covariance(gamma, gamma))});
-  }
-  return out;
-}
-
 std::vector<model::TagCalibration> tag_calibrations(std::span<const BodyError> body,
                                                     std::span<const model::Tag> tags) {
   std::vector<model::TagCalibration> out;
@@ -232,9 +217,8 @@ model::AnchorCalibration describe(const Site& site, std::size_t i, const Eigen::
   const AnchorObservations& data = site.association.anchors[i];
   model::AnchorCalibration out;
   out.id = data.id;
-  out.position_m = fit.anchor.head<3>();
-  out.covariance = covariance;
-  out.pairs = pair_biases(fit.anchor, covariance, site.association.tags);
+  for (const model::Tag& tag : site.association.tags) out.pairs.push_back({.tag_id = tag.id});
+  set_values(out, fit.anchor, covariance);
   // Ranges before the anchor's last move count as rejected, and so do those more likely NLOS than LOS.
   out.ranges_used = static_cast<std::size_t>(
       std::count_if(fitted.begin(), fitted.end(), [](const FittedRange& row) { return !(row.los < 0.5); }));

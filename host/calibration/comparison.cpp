@@ -4,6 +4,7 @@
 #include <array>
 #include <cmath>
 #include <cstdio>
+#include <iterator>
 #include <limits>
 #include <map>
 #include <numbers>
@@ -124,21 +125,22 @@ std::vector<PairChange> compare_pairs(const std::vector<Shared>& anchors) {
       const auto b = std::find_if(anchor.b->pairs.begin(), anchor.b->pairs.end(),
                                   [&](const model::PairBias& pair) { return pair.tag_id == a.tag_id; });
       if (b == anchor.b->pairs.end()) continue;
-      pairs.push_back({.tag_id = a.tag_id,
-                       .anchor_id = anchor.a->id,
-                       .beta_m = b->beta_m - a.beta_m,
-                       .beta_sigma_m = std::hypot(a.beta_sigma_m, b->beta_sigma_m),
-                       .gamma = b->gamma - a.gamma,
-                       .gamma_sigma = std::hypot(a.gamma_sigma, b->gamma_sigma)});
+      PairChange& change = pairs.emplace_back();
+      change.tag_id = a.tag_id;
+      change.anchor_id = anchor.a->id;
+      for (const model::PairTerm& term : model::kPairTerms) {
+        change.*term.value = *b.*term.value - a.*term.value;
+        change.*term.sigma = std::hypot(a.*term.sigma, *b.*term.sigma);
+      }
     }
   }
-  const double limit =
-      0.5 * Comparison::kChance / static_cast<double>(std::max<std::size_t>(1, pairs.size()));
-  const auto stands_out = [limit](double difference, double sigma) {
-    return sigma > 0.0 && chi2_tail_1(difference * difference / (sigma * sigma)) < limit;
-  };
+  const double limit = Comparison::kChance /
+                       static_cast<double>(model::kPairTerms.size() * std::max<std::size_t>(1, pairs.size()));
   for (PairChange& pair : pairs) {
-    pair.differs = stands_out(pair.beta_m, pair.beta_sigma_m) || stands_out(pair.gamma, pair.gamma_sigma);
+    pair.differs = std::any_of(model::kPairTerms.begin(), model::kPairTerms.end(), [&](const auto& term) {
+      const double sigma = pair.*term.sigma;
+      return sigma > 0.0 && chi2_tail_1(model::square(pair.*term.value) / model::square(sigma)) < limit;
+    });
   }
   return pairs;
 }
@@ -154,29 +156,6 @@ std::ptrdiff_t rank(AnchorVerdict verdict) {
   constexpr std::array kOrder{AnchorVerdict::kOk,       AnchorVerdict::kWeakZ, AnchorVerdict::kWeak,
                               AnchorVerdict::kNeverLos, AnchorVerdict::kMoved, AnchorVerdict::kNoData};
   return std::find(kOrder.begin(), kOrder.end(), verdict) - kOrder.begin();
-}
-
-// An anchor's parameters as a vector: position, then beta of each pair, then gamma.
-Eigen::VectorXd values_of(const AnchorCalibration& anchor) {
-  const auto pairs = static_cast<Eigen::Index>(anchor.pairs.size());
-  return Eigen::VectorXd::NullaryExpr(3 + 2 * pairs, [&](Eigen::Index i) {
-    if (i < 3) return anchor.position_m(i);
-    const model::PairBias& pair = anchor.pairs[static_cast<std::size_t>((i - 3) % pairs)];
-    return i < 3 + pairs ? pair.beta_m : pair.gamma;
-  });
-}
-
-void set_values(AnchorCalibration& anchor, const Eigen::VectorXd& values, const Eigen::MatrixXd& covariance) {
-  const auto pairs = static_cast<Eigen::Index>(anchor.pairs.size());
-  anchor.position_m = values.head<3>();
-  anchor.covariance = 0.5 * (covariance + covariance.transpose());
-  for (Eigen::Index i = 0; i < pairs; ++i) {
-    model::PairBias& pair = anchor.pairs[static_cast<std::size_t>(i)];
-    pair.beta_m = values(3 + i);
-    pair.beta_sigma_m = std::sqrt(anchor.covariance(3 + i, 3 + i));
-    pair.gamma = values(3 + pairs + i);
-    pair.gamma_sigma = std::sqrt(anchor.covariance(3 + pairs + i, 3 + pairs + i));
-  }
 }
 
 // Shifts and turns the anchor by a small offset of the frame, and adds the offset's uncertainty.
@@ -205,17 +184,6 @@ std::vector<model::NodeId> tags_of(const AnchorCalibration& a, const AnchorCalib
   return {tags.begin(), tags.end()};
 }
 
-// Index of each of the anchor's own parameters in a block with these tags.
-std::vector<Eigen::Index> places_in(const std::vector<model::NodeId>& tags, const AnchorCalibration& anchor) {
-  std::vector<Eigen::Index> out{0, 1, 2};
-  for (const Eigen::Index begin : {Eigen::Index{3}, 3 + static_cast<Eigen::Index>(tags.size())}) {
-    for (const model::PairBias& pair : anchor.pairs) {
-      out.push_back(begin + (std::lower_bound(tags.begin(), tags.end(), pair.tag_id) - tags.begin()));
-    }
-  }
-  return out;
-}
-
 Eigen::MatrixXd inverse(Eigen::MatrixXd matrix) {
   matrix.diagonal().array() += kLeastVariance;
   return matrix.ldlt().solve(Eigen::MatrixXd::Identity(matrix.rows(), matrix.cols()));
@@ -225,10 +193,9 @@ Eigen::MatrixXd inverse(Eigen::MatrixXd matrix) {
 // If the anchor's covariance was widened so far that nothing would be left, the information stays as it is.
 Eigen::MatrixXd without_priors(const Eigen::MatrixXd& information, std::size_t pairs,
                                const model::RangePriors& priors) {
-  const auto n = static_cast<Eigen::Index>(pairs);
   Eigen::MatrixXd out = information;
-  out.diagonal().segment(3, n).array() -= 1.0 / (priors.beta_m.sigma * priors.beta_m.sigma);
-  out.diagonal().tail(n).array() -= 1.0 / (priors.gamma.sigma * priors.gamma.sigma);
+  out.diagonal().tail(information.rows() - 3) -=
+      model::per_tag(model::sigmas_of(priors).cwiseAbs2().cwiseInverse(), static_cast<Eigen::Index>(pairs));
   return Eigen::LLT<Eigen::MatrixXd>(out).info() == Eigen::Success ? out : information;
 }
 
@@ -264,7 +231,7 @@ AnchorCalibration fuse(AnchorCalibration earlier, AnchorCalibration later, const
           : later;
   weaker.covariance.diagonal().head<3>().array() += bend_m * bend_m;
   const std::vector<model::NodeId> tags = tags_of(earlier, later);
-  const Eigen::Index size = 3 + 2 * static_cast<Eigen::Index>(tags.size());
+  const Eigen::Index size = model::anchor_size(std::ssize(tags));
   Eigen::MatrixXd information = Eigen::MatrixXd::Zero(size, size);
   Eigen::VectorXd right_side = Eigen::VectorXd::Zero(size);
   for (const AnchorCalibration* anchor : {&earlier, &later}) {
@@ -273,26 +240,19 @@ AnchorCalibration fuse(AnchorCalibration earlier, AnchorCalibration later, const
     if (anchor == &later) {
       const Eigen::MatrixXd reduced = without_priors(own, anchor->pairs.size(), priors);
       const Eigen::MatrixXd taken = own - reduced;
-      Eigen::VectorXd means = values_of(*anchor);
-      const auto n = static_cast<Eigen::Index>(anchor->pairs.size());
-      means.segment(3, n).setConstant(priors.beta_m.mean);
-      means.tail(n).setConstant(priors.gamma.mean);
-      own_side -= taken * means;
+      own_side -= taken * model::anchor_at(anchor->position_m, anchor->pairs.size(), priors);
       own = reduced;
     }
-    const std::vector<Eigen::Index> places = places_in(tags, *anchor);
-    // Element by element: GCC 12 warns about a vector of indices.
-    for (std::size_t i = 0; i < places.size(); ++i) {
-      right_side(places[i]) += own_side(static_cast<Eigen::Index>(i));
-      for (std::size_t k = 0; k < places.size(); ++k)
-        information(places[i], places[k]) += own(static_cast<Eigen::Index>(i), static_cast<Eigen::Index>(k));
-    }
+    const Eigen::MatrixXd to = model::selection(tags, *anchor);
+    right_side += to * own_side;
+    information += to * own * to.transpose();
   }
   AnchorCalibration out = later;
   out.pairs.clear();
   for (const model::NodeId tag : tags) out.pairs.push_back({.tag_id = tag});
   const Eigen::LDLT<Eigen::MatrixXd> factors(information);
-  set_values(out, factors.solve(right_side), factors.solve(Eigen::MatrixXd::Identity(size, size)));
+  const Eigen::MatrixXd covariance = factors.solve(Eigen::MatrixXd::Identity(size, size));
+  set_values(out, factors.solve(right_side), 0.5 * (covariance + covariance.transpose()));
   if (rank(earlier.verdict) < rank(later.verdict)) {
     out.verdict = earlier.verdict;
     out.advice = earlier.advice;

@@ -30,13 +30,9 @@ struct AnchorChange {
   bool moved = false;
 };
 
-struct PairChange {
-  model::NodeId tag_id = 0;
+// B minus A.
+struct PairChange : model::PairBias {
   model::NodeId anchor_id = 0;
-  double beta_m = 0.0;  // B minus A
-  double beta_sigma_m = 0.0;
-  double gamma = 0.0;  // B minus A
-  double gamma_sigma = 0.0;
   bool differs = false;  // as above, among all pairs
 };
 

@@ -10,7 +10,7 @@
 
 namespace groma::calibration {
 
-// One term: its name, and what it adds to the covariance of (position, beta of each tag, gamma of each tag).
+// One term: its name, and what it adds to the covariance of the anchor's parameters.
 struct BudgetTerm {
   const char* name = "";
   Eigen::MatrixXd adds;

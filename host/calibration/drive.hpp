@@ -3,6 +3,7 @@
 
 #include <span>
 
+#include "host/model/anchor_parameters.hpp"
 #include "host/model/surface.hpp"
 #include "host/model/types.hpp"
 

@@ -27,20 +27,16 @@ constexpr double kNearlyBest = 0.97;
 
 using model::square;
 
-// Covariance of position, each tag's beta and gamma, and the share of the mirror position: a range of
-// distance d is modelled as (1 - share) d + share mirrored.
+// Covariance of position, each tag's terms, and the share of the mirror position: a range of distance d is
+// modelled as (1 - share) d + share mirrored.
 class Dilution {
  public:
   explicit Dilution(const AnchorGeometry& anchor)
       : tags_(static_cast<Eigen::Index>(anchor.tag_count)),
         offset_square_m2_(square(anchor.mirror_offset_m)) {
-    covariance_.setZero(4 + 2 * tags_, 4 + 2 * tags_);
-    for (Eigen::Index axis = 0; axis < 3; ++axis) covariance_(axis, axis) = square(kBareSigma_m);
-    for (Eigen::Index beta = 3; beta < 3 + tags_; ++beta) {
-      covariance_(beta, beta) = square(anchor.beta_m.sigma);
-      covariance_(beta + tags_, beta + tags_) = square(anchor.gamma.sigma);
-    }
-    covariance_(side(), side()) = 1.0;
+    covariance_.setZero(side() + 1, side() + 1);
+    covariance_.diagonal() << Eigen::Vector3d::Constant(square(kBareSigma_m)),
+        model::per_tag(model::sigmas_of(anchor.priors).cwiseAbs2(), tags_), 1.0;
   }
 
   [[nodiscard]] double gain(const RangeGeometry& range) const {
@@ -68,20 +64,22 @@ class Dilution {
   }
 
  private:
-  // Of position, one beta and gamma, and the side.
-  static constexpr std::size_t kFigures = 6;
+  // Of position, one tag's terms, and the side.
+  static constexpr std::size_t kFigures = model::kPairSize + 1;
   using Figures = std::array<double, kFigures>;
   struct Row {
     Figures derivative;
     std::array<Eigen::Index, kFigures> index;
   };
 
-  [[nodiscard]] Eigen::Index side() const noexcept { return 3 + 2 * tags_; }
+  [[nodiscard]] Eigen::Index side() const noexcept { return model::anchor_size(tags_); }
   [[nodiscard]] Row row_of(const RangeGeometry& range) const noexcept {
-    const Eigen::Index beta = 3 + static_cast<Eigen::Index>(range.tag);
-    return {{-range.direction.x(), -range.direction.y(), -range.direction.z(), 1.0, range.distance_m,
-             range.mirrored_m - range.distance_m},
-            {0, 1, 2, beta, beta + tags_, side()}};
+    Row out{.derivative = {-range.direction.x(), -range.direction.y(), -range.direction.z()}, .index = {}};
+    model::by_terms(1.0, range.distance_m, range.direction, &out.derivative[3]);
+    out.derivative.back() = range.mirrored_m - range.distance_m;
+    const auto pair = model::pair_indices(static_cast<Eigen::Index>(range.tag), tags_);
+    *std::copy(pair.begin(), pair.end(), out.index.begin()) = side();
+    return out;
   }
 
   Eigen::Index tags_;

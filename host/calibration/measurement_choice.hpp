@@ -7,7 +7,7 @@
 
 #include <Eigen/Core>
 
-#include "host/model/types.hpp"
+#include "host/model/anchor_parameters.hpp"
 
 namespace groma::calibration {
 
@@ -25,8 +25,7 @@ struct RangeGeometry {
 struct AnchorGeometry {
   std::span<const RangeGeometry> ranges;  // by time
   std::size_t tag_count = 0;
-  model::ScalarPrior beta_m;  // of each pair
-  model::ScalarPrior gamma;
+  model::RangePriors priors;
   double mirror_offset_m = 0.0;  // from the anchor to the mirror position; zero: there is none
 };
 

@@ -24,9 +24,6 @@ constexpr std::size_t kRowsPerBin = 15;
 constexpr double kHuberScales = 3.0;
 constexpr double kLeastStretch_s = 10.0;
 constexpr double kLeastStretchShare = 0.05;
-// Prior sigmas of the biases in a second place, given those of the first: gamma's is a tenth of its prior's.
-constexpr double kBetaAgain_m = 0.02;
-constexpr double kGammaAgain = 5e-4;
 // Prior sigma of a move, per axis: the size of a hall.
 constexpr double kOpenShift_m = 10.0;
 // A stretch with less gain is not tested: 60 of chi square with three degrees of freedom, 6e-13 by chance, as
@@ -132,11 +129,13 @@ AnchorFit place_of_stretch(const AnchorFit& here, std::span<const Observation> s
   const std::size_t tags = here.problem.tag_count;
   std::vector<Observation> rows(stretch.begin(), stretch.end());
   for (Observation& row : rows) {
-    row.range_m = (row.range_m - here.anchor(beta_index(row.tag))) / here.anchor(gamma_index(row.tag, tags));
+    const model::TermVector terms = terms_of(here.anchor, row.tag, tags);
+    const Eigen::Vector3d direction = predict(row, here.anchor, tags).direction;
+    row.range_m = (row.range_m - model::offset_m(terms, direction)) / model::scale_of(terms);
   }
   AnchorProblem problem = here.problem;
-  problem.priors.beta_m = {.mean = 0.0, .sigma = kBetaAgain_m};
-  problem.priors.gamma = {.mean = 1.0, .sigma = kGammaAgain};
+  for (const model::PairTerm& term : model::kPairTerms)
+    problem.priors.*term.prior = {.mean = term.neutral, .sigma = term.moved_sigma};
   AnchorFit out = here;
   out.anchor.head<3>() = solve_alone(problem, rows, kRefinements).anchor.head<3>();
   return out;
@@ -477,7 +476,7 @@ StretchGains::StretchGains(const AnchorFit& fit, std::size_t bins) {
     by_position.setZero();
     for (std::size_t tag = 0; tag < tags; ++tag) {
       const PairBlock block = blocks[tag].selfadjointView<Eigen::Lower>();
-      const std::array<Eigen::Index, 5> index = pair_index(tag, tags);
+      const PairIndex index = pair_index(tag, tags);
       gradient(index) += slopes[tag];
       by_position(index, Eigen::all) += block.leftCols<3>();
       all(index, index) += block;

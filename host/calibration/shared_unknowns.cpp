@@ -74,12 +74,12 @@ struct AnchorSums {
   Eigen::VectorXd descent;
 };
 
-// Sums over one tag's observations of the derivatives by the pair (position, beta, gamma) and by the first
-// `Shared` shared terms. Observations are buffered side by side and summed kLanes at a time.
+// Sums over one tag's observations of the derivatives by the pair (position, terms) and by the first `Shared`
+// shared terms. Observations are buffered side by side and summed kLanes at a time.
 template <Eigen::Index Shared>
 class Moments {
  public:
-  static constexpr Eigen::Index kPair = 5;
+  static constexpr Eigen::Index kPair = model::kPairSize;
   static constexpr Eigen::Index kSize = kPair + Shared;
   // Shared terms of the two knots.
   static constexpr Eigen::Index kKnots = 6;
@@ -147,7 +147,7 @@ void add_rows(const AnchorFit& fit, const SharedUnknowns& unknowns, AnchorSums& 
   std::vector<Tag> of_tag(tags);
   for (std::size_t tag = 0; tag < tags; ++tag) {
     typename Sums::Places& places = of_tag[tag].places;
-    const std::array<Eigen::Index, 5> pair = pair_index(tag, tags);
+    const PairIndex pair = pair_index(tag, tags);
     std::copy(pair.begin(), pair.end(), places.data());
     places(Sums::kRest) = unknowns.delay();
     for (Eigen::Index k = 0; Sums::kRest + 1 + k < Sums::kSize; ++k) {
@@ -170,10 +170,8 @@ void add_rows(const AnchorFit& fit, const SharedUnknowns& unknowns, AnchorSums& 
     first = share.first;
     typename Sums::Row j;
     j.template head<Sums::kPair>() = at.j.array().transpose();
-    j.template tail<Shared>() = shared_jacobian(row, at.predicted, at.gamma, share.fraction)
-                                    .template head<Shared>()
-                                    .array()
-                                    .transpose();
+    j.template tail<Shared>() =
+        shared_jacobian(row, at.predicted, share.fraction).template head<Shared>().array().transpose();
     // Long NLOS ranges count too: they tie the anchor to the poses, so that a common shift of both changes no
     // residual.
     of_tag[row.tag].moments.add(j, value.seen.slope + value.nlos_slope,
@@ -285,15 +283,15 @@ double white_share(const DriftPrior& drift, const PoseQuality& typical, double s
   return std::max(0.0, 1.0 - slow) + std::min(1.0, slow) * missed;
 }
 
-SharedRow shared_jacobian(const Observation& row, const model::AntennaPrediction& predicted, double gamma,
+SharedRow shared_jacobian(const Observation& row, const model::AntennaPrediction& predicted,
                           double fraction) noexcept {
-  const Eigen::Vector3d by_antenna = gamma * predicted.direction;
+  const Eigen::Vector3d by_antenna = predicted.scale * predicted.direction;
   const double by_yaw = by_antenna.head<2>().dot(row.yaw_arm_m);
   const Eigen::Vector3d drift(by_antenna.x(), by_antenna.y(), by_yaw);
   const Eigen::Vector3d in_body = row.attitude.conjugate().cast<double>() * predicted.direction;
   SharedRow out;
-  out << (1.0 - fraction) * drift, fraction * drift, -by_antenna.dot(row.velocity_mps), gamma * in_body,
-      model::pattern_terms(in_body);
+  out << (1.0 - fraction) * drift, fraction * drift, -by_antenna.dot(row.velocity_mps),
+      predicted.scale * in_body, model::pattern_terms(in_body);
   return out;
 }
 

@@ -101,7 +101,7 @@ inline constexpr Eigen::Index kSharedTerms = kMotionTerms + kBodyTerms;
 using SharedRow = Eigen::Matrix<double, kSharedTerms, 1>;
 // `fraction` is that of the observation's KnotShare.
 [[nodiscard]] SharedRow shared_jacobian(const Observation& row, const model::AntennaPrediction& predicted,
-                                        double gamma, double fraction) noexcept;
+                                        double fraction) noexcept;
 
 // Corrects an observation by a step of the unknowns: moves the antenna, subtracts the pattern from the range.
 // `anchor_m` is the anchor's estimated position.

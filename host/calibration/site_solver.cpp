@@ -42,9 +42,9 @@ std::vector<const Observation*> sample(std::span<const Observation> rows, std::s
 // Points on the spheres of a few ranges taken far apart on the drive: one of them is near the anchor.
 std::vector<Start> sphere_points(const AnchorProblem& problem) {
   std::vector<Start> out;
+  const model::TermVector means = model::means_of(problem.priors);
   for (const Observation* row : sample(problem.rows, kReferences)) {
-    const double distance_m =
-        std::max(0.1, (row->range_m - problem.priors.beta_m.mean) / problem.priors.gamma.mean);
+    const double distance_m = std::max(0.1, (row->range_m - model::offset_m(means)) / model::scale_of(means));
     for (const double elevation_rad : kElevations_rad) {
       for (int k = 0; k < kAzimuths; ++k) {
         const double azimuth_rad = 2.0 * std::numbers::pi * k / kAzimuths;
@@ -63,8 +63,8 @@ double valley_width_m(const AnchorProblem& problem) {
   const std::vector<const Observation*> rows = sample(problem.rows, kScoredRows);
   double mean_range_m = 0.0;
   for (const Observation* row : rows) mean_range_m += row->range_m / static_cast<double>(rows.size());
-  const model::RangePriors& priors = problem.priors;
-  return 0.3 + priors.beta_m.sigma + (priors.gamma.sigma + 0.03) * mean_range_m;
+  const model::TermVector sigmas = model::sigmas_of(problem.priors);
+  return 0.3 + model::offset_m(sigmas) + (model::scale_of(sigmas) + 0.03) * mean_range_m;
 }
 
 // Effort of the mirror tests, by hand against time.
@@ -355,6 +355,8 @@ AnchorFit descend(const AnchorProblem& problem, const AnchorVector& start) {
 
 AnchorFit search(const AnchorProblem& problem) {
   const model::RangePriors& priors = problem.priors;
+  const double scale = model::scale_of(model::means_of(priors));
+  const double offset_m = model::offset_m(model::means_of(priors));
   const double width_m = valley_width_m(problem);
 
   std::vector<Start> starts = sphere_points(problem);
@@ -368,7 +370,7 @@ AnchorFit search(const AnchorProblem& problem) {
       for (Eigen::Index axis = 0; axis < 3; ++axis) {
         square_m2 += (columns.at(0, block, RowColumns::kAntenna + axis) - start.position_m(axis)).square();
       }
-      const Lanes expected_m = priors.gamma.mean * square_m2.sqrt() + priors.beta_m.mean;
+      const Lanes expected_m = scale * square_m2.sqrt() + offset_m;
       const Lanes square = ((columns.at(0, block, RowColumns::kRange) - expected_m) / width_m).square();
       start.score += (square / (1.0 + square)).head(columns.rows_in(0, block)).sum();
     }
@@ -506,8 +508,7 @@ void bound_rows(Association& association, PollTable& polls, const SiteProblem& p
     const std::vector<std::size_t> chosen =
         choose_measurements({.ranges = ranges,
                              .tag_count = tags,
-                             .beta_m = problem.priors.beta_m,
-                             .gamma = problem.priors.gamma,
+                             .priors = problem.priors,
                              .mirror_offset_m = (mirrored_m - anchor_m).norm()},
                             most);
     for (std::size_t i = 0; i < chosen.size(); ++i) {

@@ -47,7 +47,7 @@ struct PairMoments {
 void add_pair(const PairBlock& lower, double factor, std::size_t tag, std::size_t tag_count,
               Eigen::MatrixXd& out) {
   const PairBlock block = lower.selfadjointView<Eigen::Lower>();
-  const std::array<Eigen::Index, 5> index = pair_index(tag, tag_count);
+  const PairIndex index = pair_index(tag, tag_count);
   out(index, index) += factor * block;
 }
 
@@ -360,8 +360,8 @@ Eigen::MatrixXd rough_covariance(const AnchorFit& fit) {
 }
 
 double prediction_sigma_m(const PairRow& j, std::size_t tag, const Eigen::MatrixXd& covariance) noexcept {
-  const auto tags = static_cast<std::size_t>(covariance.rows() - 3) / 2;
-  const std::array<Eigen::Index, 5> index = pair_index(tag, tags);
+  const auto tags = static_cast<std::size_t>(covariance.rows() - 3) / model::kPairTerms.size();
+  const PairIndex index = pair_index(tag, tags);
   double variance_m2 = 0.0;
   for (std::size_t i = 0; i < index.size(); ++i) {
     for (std::size_t k = 0; k < index.size(); ++k) {

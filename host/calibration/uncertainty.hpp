@@ -49,12 +49,12 @@ struct Evidence {
 [[nodiscard]] std::optional<Eigen::Matrix3d> jackknife_covariance(const AnchorFit& fit);
 
 // Covariance to add where the jackknife exceeds the expected position covariance; only in directions in which
-// that is significant. The biases follow by regression. `expected`: of the ranges alone, (position, beta,
-// gamma ...).
+// that is significant. The biases follow by regression. `expected`: of the ranges alone, for the anchor's
+// unknowns.
 [[nodiscard]] Eigen::MatrixXd excess_of_jackknife(const Eigen::Matrix3d& jackknife,
                                                   const Eigen::MatrixXd& expected);
 
-// Covariance of (position, beta, gamma): H^-1 (prior + inflation G) H^-1, with H the information and G the
+// Covariance of the anchor's unknowns: H^-1 (prior + inflation G) H^-1, with H the information and G the
 // score's variance. A surveyed position keeps its prior's covariance, which propagates into the biases: they
 // were estimated with the position held fixed.
 [[nodiscard]] Eigen::MatrixXd anchor_covariance(const Evidence& evidence, double inflation);

@@ -6,6 +6,7 @@
 #include <filesystem>
 #include <memory>
 #include <string>
+#include <vector>
 
 #include <CLI/CLI.hpp>
 
@@ -73,9 +74,10 @@ std::string format_text(const calibration::Comparison& comparison, const model::
   }
   for (const calibration::PairChange& pair : comparison.pairs) {
     if (!pair.differs) continue;
-    text +=
-        fmt::format("tag {}, anchor {}: beta {:+.3f} m (sigma {:.3f}), gamma {:+.5f} ({:.5f})\n", pair.tag_id,
-                    pair.anchor_id, pair.beta_m, pair.beta_sigma_m, pair.gamma, pair.gamma_sigma);
+    std::vector<std::string> terms;
+    for (const model::PairTerm& term : model::kPairTerms)
+      terms.push_back(fmt::format(fmt::runtime(term.text.change), pair.*term.value, pair.*term.sigma));
+    text += fmt::format("tag {}, anchor {}: {}\n", pair.tag_id, pair.anchor_id, fmt::join(terms, ", "));
   }
   return text;
 }
@@ -116,13 +118,8 @@ Json to_json(const calibration::Comparison& comparison, const model::Calibration
                                {"verdicts", {verdict_of(a, change.id), verdict_of(b, change.id)}}});
   }
   for (const calibration::PairChange& pair : comparison.pairs) {
-    json["pairs"].push_back({{"tag", pair.tag_id},
-                             {"anchor", pair.anchor_id},
-                             {"beta_m", pair.beta_m},
-                             {"beta_sigma_m", pair.beta_sigma_m},
-                             {"gamma", pair.gamma},
-                             {"gamma_sigma", pair.gamma_sigma},
-                             {"differs", pair.differs}});
+    json["pairs"].push_back(cli::to_json(pair, pair.anchor_id));
+    json["pairs"].back()["differs"] = pair.differs;
   }
   return json;
 }

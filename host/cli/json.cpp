@@ -45,6 +45,15 @@ Json to_json(const model::AnchorCalibration& anchor) {
 
 }  // namespace
 
+Json to_json(const model::PairBias& pair, model::NodeId anchor_id) {
+  Json json{{"tag", pair.tag_id}, {"anchor", anchor_id}};
+  for (const model::PairTerm& term : model::kPairTerms) {
+    json[term.key.value] = pair.*term.value;
+    json[term.key.sigma] = pair.*term.sigma;
+  }
+  return json;
+}
+
 Json to_json(const calibration::Result& result) {
   Json json;
   json["verdict"] = io::word(result.calibration.verdict);
@@ -54,14 +63,7 @@ Json to_json(const calibration::Result& result) {
   json["pairs"] = Json::array();
   for (const model::AnchorCalibration& anchor : result.calibration.anchors) {
     json["anchors"].push_back(to_json(anchor));
-    for (const model::PairBias& pair : anchor.pairs) {
-      json["pairs"].push_back({{"tag", pair.tag_id},
-                               {"anchor", anchor.id},
-                               {"beta_m", pair.beta_m},
-                               {"beta_sigma_m", pair.beta_sigma_m},
-                               {"gamma", pair.gamma},
-                               {"gamma_sigma", pair.gamma_sigma}});
-    }
+    for (const model::PairBias& pair : anchor.pairs) json["pairs"].push_back(to_json(pair, anchor.id));
   }
   return json;
 }

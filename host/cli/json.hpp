@@ -11,6 +11,8 @@ namespace groma::cli {
 
 using Json = nlohmann::ordered_json;
 
+// tag, anchor, and each term of the range model with its sigma.
+[[nodiscard]] Json to_json(const model::PairBias& pair, model::NodeId anchor_id);
 // verdict, ranges_used, ranges_rejected, anchors and pairs.
 [[nodiscard]] Json to_json(const calibration::Result& result);
 // samples, ate_m, ate_rad and nees.

@@ -26,16 +26,6 @@ RowsMap<const CrossBlock> rows_of(const double* cross) noexcept {
   return {cross, kCrossStride, kCoreSize, {}};
 }
 
-// First index of each group within d_parameters.
-constexpr int kOfPosition = 0;
-constexpr int kOfBeta = 3;
-constexpr int kOfGamma = 4;
-constexpr int kOfLeverArm = 5;
-constexpr int kOfFrame = 8;
-constexpr int kOfRangeBias = 12;
-constexpr int kOfGround = 13;
-static_assert(kOfGround + kGroundSize == kPairParameters);
-
 // P <- F P F^T, F the identity except the pose's rows, whose derivatives w.r.t. the delay are zero.
 void propagate_core(CoreMatrix& core, const PoseRows& f) noexcept {
   // The heading's row of F has three nonzero terms. lazyProduct avoids Eigen's kernels for large matrices.
@@ -237,13 +227,12 @@ void JointCovariance::own_of_considered(const RangeMeasurement& measurement, con
   const auto& d = measurement.d_parameters;
   const AnchorMatrix& block = pair.anchor->covariance;
   const int size = layout_.anchor_size() - 1;
-  const int beta = 3 + pair.tag;
-  const int gamma = beta + layout_.tag_count();
+  const auto index = model::pair_indices(pair.tag, layout_.tag_count());
   double* const anchor = own + layout_.position(pair.slot);
   for (int i = 0; i < size; ++i) {
-    anchor[i] = block(i, 0) * d(kOfPosition) + block(i, 1) * d(kOfPosition + 1) +
-                block(i, 2) * d(kOfPosition + 2) + block(i, beta) * d(kOfBeta) +
-                block(i, gamma) * d(kOfGamma);
+    double sum = block(i, 0) * d(0);
+    for (int k = 1; k < model::kPairSize; ++k) sum += block(i, index[static_cast<std::size_t>(k)]) * d(k);
+    anchor[i] = sum;
   }
   anchor[size] = range_bias_variance_m2_ * d(kOfRangeBias) / range_bias_scale_;
   double* const lever_arm = own + layout_.lever_arm(pair.tag);
@@ -259,10 +248,9 @@ void JointCovariance::own_of_estimated(const RangeMeasurement& measurement, cons
                                        double* own) const noexcept {
   const auto d = stored(measurement);
   std::array<double, kMaxAnchorSize> of_anchor{};
-  std::copy_n(d.data() + kOfPosition, 3, of_anchor.begin());
-  const auto at_beta = std::size_t{3} + static_cast<std::size_t>(pair.tag);
-  of_anchor[at_beta] = d(kOfBeta);
-  of_anchor[at_beta + static_cast<std::size_t>(layout_.tag_count())] = d(kOfGamma);
+  const double* by = d.data();
+  for (const int index : model::pair_indices(pair.tag, layout_.tag_count()))
+    of_anchor[static_cast<std::size_t>(index)] = *by++;
   of_anchor[static_cast<std::size_t>(layout_.anchor_size() - 1)] = d(kOfRangeBias);
   const auto add = [&](int first, int count, const double* w) {
     add_columns(lower_data(), stride_, size_, first, count, w, own);

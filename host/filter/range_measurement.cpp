@@ -27,7 +27,7 @@ RangeMeasurement measure_range(const model::Surface& surface, const CoreVector& 
   ground.z_m += pair.ground(0);
   ground.gradient += pair.ground.tail<2>();
   const model::SurfaceRange prediction = model::predict_surface_range(
-      ground, {then.pose.x(), then.pose.y(), then.pose.z()}, lever_arm, position, pair.beta_m, pair.gamma);
+      ground, {then.pose.x(), then.pose.y(), then.pose.z()}, lever_arm, position, pair.terms);
 
   RangeMeasurement out;
   // The pattern's contribution to the Jacobians is a tenth of the lever arm's and is neglected.
@@ -39,8 +39,8 @@ RangeMeasurement measure_range(const model::Surface& surface, const CoreVector& 
 
   const Eigen::RowVector3d& d_anchor = prediction.d_anchor;
   out.d_parameters << d_anchor.x() + frame(3) * d_anchor.y(), d_anchor.y() - frame(3) * d_anchor.x(),
-      d_anchor.z(), 1.0, prediction.distance_m, prediction.d_lever_arm, d_anchor, d_anchor.dot(turned), 1.0,
-      prediction.d_position.z(), prediction.d_gradient;
+      d_anchor.z(), prediction.d_terms.transpose(), prediction.d_lever_arm, d_anchor, d_anchor.dot(turned),
+      1.0, prediction.d_position.z(), prediction.d_gradient;
   return out;
 }
 
@@ -48,8 +48,7 @@ RangeMeasurement measure_distance(const model::Surface& surface, const CoreVecto
                                   const model::OdometrySample& row, const PairParameters& pair,
                                   int chart) noexcept {
   PairParameters pure = pair;
-  pure.beta_m = 0.0;
-  pure.gamma = 1.0;
+  pure.terms = model::each_term([](const model::PairTerm& term) { return term.neutral; });
   pure.range_bias_m = 0.0;
   pure.pattern_m.setZero();
   return measure_range(surface, core, row, pure, chart);

@@ -18,15 +18,15 @@ struct RangeMeasurement {
   Eigen::Matrix<double, 1, kPairParameters> d_parameters;  // J: w.r.t. the pair's parameters
 };
 
-// Range of a tag to an anchor, z = gamma d + beta + slow range bias + the tag's antenna pattern in that
-// direction. The pose is the core state's, kDelay earlier, on that chart of the surface. The anchor's
-// position is a + (frame x, y, z) + frame yaw * (z axis x a). The Jacobians assume that the ground deviates
-// from the surface by zero.
+// Range of a tag to an anchor: the pair's terms (gamma d + beta), the slow range bias, and the tag's antenna
+// pattern in that direction. The pose is the core state's, kDelay earlier, on that chart of the surface. The
+// anchor's position is a + (frame x, y, z) + frame yaw * (z axis x a). The Jacobians assume that the ground
+// deviates from the surface by zero.
 [[nodiscard]] RangeMeasurement measure_range(const model::Surface& surface, const CoreVector& core,
                                              const model::OdometrySample& row, const PairParameters& pair,
                                              int chart = 0) noexcept;
 
-// The pure distance of the original model, equation (4): beta 0, gamma 1, no slow range bias, no pattern.
+// The pure distance of the original model, equation (4): neutral terms, no slow range bias, no pattern.
 [[nodiscard]] RangeMeasurement measure_distance(const model::Surface& surface, const CoreVector& core,
                                                 const model::OdometrySample& row, const PairParameters& pair,
                                                 int chart = 0) noexcept;

@@ -37,32 +37,17 @@ Site::Site(std::span<const model::Tag> tags, const model::Calibration& calibrati
     anchor.id = calibrated.id;
     anchor.is_estimated = calibrated.verdict == model::AnchorVerdict::kOk;
     anchor.values.setZero(size);
-    anchor.values.head<3>() = calibrated.position_m;
     anchor.covariance.setZero(size, size);
-    const auto pairs = static_cast<Eigen::Index>(calibrated.pairs.size());
+    const Eigen::MatrixXd to =
+        model::selection(std::span(tag_ids_).first(static_cast<std::size_t>(tag_count_)), calibrated);
+    anchor.values.head(size - 1) = to * model::values_of(calibrated);
     // The common frame's error is a parameter of its own.
-    const Eigen::MatrixXd own = model::own_covariance(calibrated, frame_covariance_);
-    // Target index of each row of the calibration's block; -1 for tags that this robot lacks.
-    const auto target = [&](Eigen::Index row) {
-      if (row < 3) return static_cast<int>(row);
-      const int tag = tag_slot(calibrated.pairs[static_cast<std::size_t>((row - 3) % pairs)].tag_id);
-      if (tag < 0) return -1;
-      return row - 3 < pairs ? 3 + tag : 3 + tag_count_ + tag;
-    };
-    for (Eigen::Index i = 0; i < own.rows(); ++i) {
-      for (Eigen::Index j = 0; j < own.cols(); ++j) {
-        const int row = target(i);
-        const int column = target(j);
-        if (row >= 0 && column >= 0) anchor.covariance(row, column) = own(i, j);
-      }
-    }
+    anchor.covariance.topLeftCorner(size - 1, size - 1) =
+        to * model::own_covariance(calibrated, frame_covariance_) * to.transpose();
     anchor.covariance(size - 1, size - 1) = range_bias_variance_m2_;
     for (const model::PairBias& pair : calibrated.pairs) {
       const int tag = tag_slot(pair.tag_id);
-      if (tag < 0) continue;
-      anchor.values(3 + tag) = pair.beta_m;
-      anchor.values(3 + tag_count_ + tag) = pair.gamma;
-      anchor.knows_tag[static_cast<std::size_t>(tag)] = true;
+      if (tag >= 0) anchor.knows_tag[static_cast<std::size_t>(tag)] = true;
     }
     if (calibrated.id >= index_by_id_.size()) index_by_id_.resize(calibrated.id + std::size_t{1}, -1);
     index_by_id_[calibrated.id] = anchor_count();
@@ -80,8 +65,7 @@ int Site::tag_slot(model::NodeId id) const noexcept {
 PairParameters Site::pair(int index, int tag) const noexcept {
   const AnchorVector& values = anchor(index).values;
   return {.position_m = values.head<3>(),
-          .beta_m = values(3 + tag),
-          .gamma = values(3 + tag_count_ + tag),
+          .terms = model::terms_of(values, tag, tag_count_),
           .lever_arm_m = lever_arm_m(tag),
           .pattern_m = pattern_m(tag)};
 }
@@ -94,18 +78,19 @@ Parameters::Parameters(const Site& site, int capacity)
 }
 
 PairIndices Layout::pair_indices(int slot, int tag) const noexcept {
-  const int p = position(slot);
-  const int l = lever_arm(tag);
-  const int f = frame();
-  const int g = ground();
-  return {p, p + 1, p + 2, beta(slot, tag), gamma(slot, tag), l, l + 1, l + 2,
-          f, f + 1, f + 2, f + 3,           range_bias(slot), g, g + 1, g + 2};
+  PairIndices out;
+  auto* to = out.begin();
+  for (const int index : model::pair_indices(tag, tag_count_)) *to++ = position(slot) + index;
+  for (int i = 0; i < 3; ++i) *to++ = lever_arm(tag) + i;
+  for (int i = 0; i < kFrameSize; ++i) *to++ = frame() + i;
+  *to++ = range_bias(slot);
+  for (int i = 0; i < kGroundSize; ++i) *to++ = ground() + i;
+  return out;
 }
 
 PairParameters Parameters::pair(const Site& site, int slot, int tag) const noexcept {
   return {.position_m = values_.segment<3>(position(slot)),
-          .beta_m = values_(beta(slot, tag)),
-          .gamma = values_(gamma(slot, tag)),
+          .terms = model::terms_of(values_.segment(position(slot), anchor_size()), tag, tag_count()),
           .range_bias_m = values_(range_bias(slot)),
           .lever_arm_m = values_.segment<3>(lever_arm(tag)),
           .frame = values_.segment<kFrameSize>(frame()),

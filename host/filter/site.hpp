@@ -19,8 +19,7 @@ namespace groma::filter {
 // Parameters of the range of one tag and one anchor, x_s,ij of equation (11), and those that the paper lacks.
 struct PairParameters {
   Eigen::Vector3d position_m;  // of the anchor, without the error of the common frame
-  double beta_m = 0.0;
-  double gamma = 1.0;
+  model::TermVector terms;
   double range_bias_m = 0.0;
   Eigen::Vector3d lever_arm_m;
   Eigen::Vector4d frame = Eigen::Vector4d::Zero();
@@ -46,7 +45,7 @@ class Site {
 
   [[nodiscard]] int anchor_count() const noexcept { return static_cast<int>(anchors_.size()); }
   [[nodiscard]] int tag_count() const noexcept { return tag_count_; }
-  [[nodiscard]] int anchor_size() const noexcept { return 3 + 2 * tag_count_ + 1; }
+  [[nodiscard]] int anchor_size() const noexcept { return model::anchor_size(tag_count_) + 1; }
 
   // Index of an id; -1 if unknown.
   [[nodiscard]] int anchor_index(model::NodeId id) const noexcept {
@@ -89,8 +88,12 @@ class Site {
 
 using ParameterVector = Bounded<kMaxParameters, 1>;
 
-// Position, beta, gamma, lever arm, frame, slow range bias, ground.
-inline constexpr int kPairParameters = 3 + 1 + 1 + 3 + kFrameSize + 1 + kGroundSize;
+// Parameters of a pair's range: position and terms, then the groups that begin at these indices.
+inline constexpr int kOfLeverArm = model::kPairSize;
+inline constexpr int kOfFrame = kOfLeverArm + 3;
+inline constexpr int kOfRangeBias = kOfFrame + kFrameSize;
+inline constexpr int kOfGround = kOfRangeBias + 1;
+inline constexpr int kPairParameters = kOfGround + kGroundSize;
 using PairIndices = std::array<int, kPairParameters>;
 
 // Index of each parameter in the parameter vector. Active anchors are numbered by slot from 0, tags as in
@@ -107,10 +110,8 @@ class Layout {
   [[nodiscard]] static constexpr int frame() noexcept { return 0; }
   [[nodiscard]] static constexpr int lever_arm(int tag) noexcept { return kFrameSize + 3 * tag; }
   [[nodiscard]] int common_size() const noexcept { return lever_arm(tag_count_); }
-  [[nodiscard]] int anchor_size() const noexcept { return 3 + 2 * tag_count_ + 1; }
+  [[nodiscard]] int anchor_size() const noexcept { return model::anchor_size(tag_count_) + 1; }
   [[nodiscard]] int position(int slot) const noexcept { return common_size() + slot * anchor_size(); }
-  [[nodiscard]] int beta(int slot, int tag) const noexcept { return position(slot) + 3 + tag; }
-  [[nodiscard]] int gamma(int slot, int tag) const noexcept { return beta(slot, tag) + tag_count_; }
   [[nodiscard]] int range_bias(int slot) const noexcept { return position(slot + 1) - 1; }
   [[nodiscard]] int ground() const noexcept { return position(anchor_count_); }
   // Indices of the parameters of a pair's range, in the order of kPairParameters.

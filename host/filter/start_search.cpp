@@ -8,6 +8,7 @@
 #include <Eigen/Eigenvalues>
 
 #include "host/model/ablation.hpp"
+#include "host/model/range_model.hpp"
 
 namespace groma::filter {
 
@@ -122,12 +123,10 @@ struct PairOf {
   PairOf(const Site& site, int tag, const RangeMeasurement& measurement)
       : by_anchor(AnchorVector::Zero(site.anchor_size())) {
     const auto& d = measurement.d_parameters;
-    by_anchor.head<3>() = d.head<3>();
-    by_anchor(3 + tag) = d(3);
-    by_anchor(3 + site.tag_count() + tag) = d(4);
-    by_lever_arm = d.segment<3>(5);
-    by_frame = d.segment<kFrameSize>(8);
-    by_anchor(site.anchor_size() - 1) = d(8 + kFrameSize);
+    by_anchor(model::pair_indices(tag, site.tag_count())) = d.head<model::kPairSize>().transpose();
+    by_lever_arm = d.segment<3>(kOfLeverArm);
+    by_frame = d.segment<kFrameSize>(kOfFrame);
+    by_anchor(site.anchor_size() - 1) = d(kOfRangeBias);
     by_ground = d.tail<kGroundSize>();
   }
 
@@ -315,7 +314,7 @@ double StartSearch::coarse_cost(const Eigen::Vector3d& pose, int chart, double w
     const Eigen::Vector3d antenna(then.x() + c * lever.x() - s * lever.y(),
                                   then.y() + s * lever.x() + c * lever.y(),
                                   surface_.height_m(then.x(), then.y(), on) + lever.z());
-    const double predicted_m = pair.gamma * (antenna - pair.position_m).norm() + pair.beta_m;
+    const double predicted_m = model::predict_antenna_range(antenna, pair.position_m, pair.terms).range_m;
     sum.add((seen.range_m - predicted_m) / width_m);
   });
   return sum.sum();

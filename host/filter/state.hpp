@@ -8,6 +8,8 @@
 
 #include <Eigen/Core>
 
+#include "host/model/anchor_parameters.hpp"
+
 namespace groma::filter {
 
 // Maximum number of active anchors and of tags: CMake's GROMA_ACTIVE_ANCHORS and GROMA_TAGS.
@@ -46,11 +48,11 @@ enum CoreIndex : int {
 };
 
 // Parameters: the error of the anchors' common frame (x, y, z in m, yaw in rad); the lever arm of each tag
-// (3); for each active anchor its position (3), beta of each tag, gamma of each tag, and its slow
-// (Gauss-Markov) range bias; the ground's deviation from the surface model (height in m, dS/dx, dS/dy).
+// (3); for each active anchor its model::anchor_size() parameters and its slow (Gauss-Markov) range bias; the
+// ground's deviation from the surface model (height in m, dS/dx, dS/dy).
 inline constexpr int kFrameSize = 4;
 inline constexpr int kMaxCommon = kFrameSize + 3 * kMaxTags;
-inline constexpr int kMaxAnchorSize = 3 + 2 * kMaxTags + 1;
+inline constexpr int kMaxAnchorSize = model::anchor_size(kMaxTags) + 1;
 inline constexpr int kGroundSize = 3;
 inline constexpr int kMaxParameters = kMaxCommon + kMaxAnchors * kMaxAnchorSize + kGroundSize;
 
@@ -64,7 +66,7 @@ using Bounded = Eigen::Matrix<double, Eigen::Dynamic, kMaxColumns == 1 ? 1 : Eig
 // Parameters common to all anchors: frame, lever arms.
 using CommonVector = Bounded<kMaxCommon, 1>;
 using CommonMatrix = Bounded<kMaxCommon, kMaxCommon>;
-// Parameters of one anchor: position, beta of each tag, gamma of each tag, slow range bias.
+// Parameters of one anchor: position, terms of each tag, slow range bias.
 using AnchorVector = Bounded<kMaxAnchorSize, 1>;
 using AnchorMatrix = Bounded<kMaxAnchorSize, kMaxAnchorSize>;
 using AnchorByCommon = Bounded<kMaxAnchorSize, kMaxCommon>;

@@ -31,10 +31,6 @@ constexpr double kAgreement = 1e-6;
 
 using Output = std::back_insert_iterator<std::string>;
 
-bool all_finite(const Eigen::MatrixXd& matrix) {
-  return matrix.array().isFinite().all();
-}
-
 // A JSON string is a valid double-quoted YAML 1.2 string.
 std::string yaml_text(std::string_view text) {
   return nlohmann::json(text).dump(-1, ' ', true, nlohmann::json::error_handler_t::replace);
@@ -63,10 +59,7 @@ void write_anchor(Output out, const model::AnchorCalibration& anchor) {
   fmt::format_to(out, "    held_out_rms_m: {}\n", yaml_number(anchor.held_out_rms_m));
   fmt::format_to(out, "    held_out_robust_rms_m: {}\n", yaml_number(anchor.held_out_robust_rms_m));
   fmt::format_to(out, "    mirror_ratio: {}\n", yaml_number(anchor.mirror_ratio));
-  const auto size = static_cast<Eigen::Index>(3 + 2 * anchor.pairs.size());
-  const bool known = anchor.covariance.rows() == size && anchor.covariance.cols() == size &&
-                     all_finite(anchor.covariance) && all_finite(anchor.position_m);
-  if (!known) {
+  if (!model::has_position(anchor)) {
     fmt::format_to(out, "    position_m: null\n    covariance_m2: null\n    pairs: []\n");
     return;
   }
@@ -74,10 +67,12 @@ void write_anchor(Output out, const model::AnchorCalibration& anchor) {
   write_matrix(out, "    ", "covariance_m2", anchor.covariance.topLeftCorner<3, 3>());
   fmt::format_to(out, "    pairs:{}\n", anchor.pairs.empty() ? " []" : "");
   for (const model::PairBias& pair : anchor.pairs) {
-    fmt::format_to(out,
-                   "      - {{tag: {}, beta_m: {}, beta_variance_m2: {}, gamma: {}, gamma_variance: {}}}\n",
-                   pair.tag_id, pair.beta_m, pair.beta_sigma_m * pair.beta_sigma_m, pair.gamma,
-                   pair.gamma_sigma * pair.gamma_sigma);
+    fmt::format_to(out, "      - {{tag: {}", pair.tag_id);
+    for (const model::PairTerm& term : model::kPairTerms) {
+      fmt::format_to(out, ", {}: {}, {}: {}", term.key.value, pair.*term.value, term.key.variance,
+                     model::square(pair.*term.sigma));
+    }
+    fmt::format_to(out, "}}\n");
   }
   write_matrix(out, "    ", "block_covariance", anchor.covariance);
 }
@@ -135,16 +130,22 @@ model::RangeNoise parse_range_noise(const YamlValue& yaml) {
 }
 
 std::vector<model::PairBias> parse_pairs(const YamlValue& yaml) {
+  YamlValue::Keys keys{{"tag"}};
+  for (const model::PairTerm& term : model::kPairTerms) {
+    keys.required.emplace_back(term.key.value);
+    keys.required.emplace_back(term.key.variance);
+  }
   std::vector<model::PairBias> pairs;
   for (const YamlValue& entry : yaml.list()) {
-    entry.expect_keys({{"tag", "beta_m", "beta_variance_m2", "gamma", "gamma_variance"}});
+    entry.expect_keys(keys);
     model::PairBias pair;
     pair.tag_id =
         static_cast<model::NodeId>(entry.at("tag").integer(0, std::numeric_limits<model::NodeId>::max()));
-    pair.beta_m = entry.at("beta_m").number();
-    pair.beta_sigma_m = std::sqrt(parse_variance(entry.at("beta_variance_m2")));
-    pair.gamma = entry.at("gamma").positive_number();
-    pair.gamma_sigma = std::sqrt(parse_variance(entry.at("gamma_variance")));
+    for (const model::PairTerm& term : model::kPairTerms) {
+      const YamlValue value = entry.at(term.key.value);
+      pair.*term.value = term.neutral > 0.0 ? value.positive_number() : value.number();
+      pair.*term.sigma = std::sqrt(parse_variance(entry.at(term.key.variance)));
+    }
     if (!pairs.empty() && pair.tag_id <= pairs.back().tag_id) {
       entry.fail("is out of order", "write the pairs by tag, ascending, each once");
     }
@@ -179,13 +180,12 @@ model::TagCalibration parse_tag(const YamlValue& yaml) {
 // The anchor's block from the position's covariance and the pairs' variances, for a file without
 // block_covariance.
 Eigen::MatrixXd block_of(const Eigen::MatrixXd& position, const std::vector<model::PairBias>& pairs) {
-  const auto tags = static_cast<Eigen::Index>(pairs.size());
-  Eigen::MatrixXd block = Eigen::MatrixXd::Zero(3 + 2 * tags, 3 + 2 * tags);
+  const Eigen::Index size = model::anchor_size(std::ssize(pairs));
+  Eigen::MatrixXd block = Eigen::MatrixXd::Zero(size, size);
   block.topLeftCorner<3, 3>() = position;
-  for (Eigen::Index i = 0; i < tags; ++i) {
-    const model::PairBias& pair = pairs[static_cast<std::size_t>(i)];
-    block(3 + i, 3 + i) = pair.beta_sigma_m * pair.beta_sigma_m;
-    block(3 + tags + i, 3 + tags + i) = pair.gamma_sigma * pair.gamma_sigma;
+  Eigen::Index at = 3;
+  for (const model::PairTerm& term : model::kPairTerms) {
+    for (const model::PairBias& pair : pairs) block.diagonal()(at++) = model::square(pair.*term.sigma);
   }
   return block;
 }
@@ -229,7 +229,7 @@ model::AnchorCalibration parse_anchor(const YamlValue& yaml) {
   const Eigen::MatrixXd own = block_of(parse_covariance(yaml.at("covariance_m2"), 3), anchor.pairs);
   anchor.covariance = own;
   if (const auto block = yaml.find("block_covariance")) {
-    anchor.covariance = parse_covariance(*block, 3 + 2 * anchor.pairs.size());
+    anchor.covariance = parse_covariance(*block, static_cast<std::size_t>(own.rows()));
     const bool same = agree(own.topLeftCorner<3, 3>(), anchor.covariance.topLeftCorner<3, 3>()) &&
                       agree(own.diagonal(), anchor.covariance.diagonal());
     if (!same) {
@@ -279,7 +279,10 @@ std::string format_calibration(const model::Calibration& calibration) {
     fmt::format_to(out, "tags:\n");
     for (const model::TagCalibration& tag : calibration.tags) write_tag(out, tag);
   }
-  fmt::format_to(out, "# block_covariance: position, then beta of each pair, then gamma of each pair.\n");
+  fmt::format_to(out, "# block_covariance: position");
+  for (const model::PairTerm& term : model::kPairTerms)
+    fmt::format_to(out, ", then {} of each pair", term.text.name);
+  fmt::format_to(out, ".\n");
   fmt::format_to(out, "anchors:{}\n", calibration.anchors.empty() ? " []" : "");
   for (const model::AnchorCalibration& anchor : calibration.anchors) write_anchor(out, anchor);
   return text;

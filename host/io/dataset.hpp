@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "host/io/site_description.hpp"
+#include "host/model/anchor_parameters.hpp"
 #include "host/model/surface.hpp"
 #include "host/model/types.hpp"
 

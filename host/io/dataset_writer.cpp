@@ -59,8 +59,12 @@ std::string format_description(const Dataset& dataset) {
   add(text, "odometry: {{sigma_vx_mps: {}, sigma_vy_mps: {}, sigma_omega_radps: {}}}  # white\n",
       odometry.sigma_vx_mps, odometry.sigma_vy_mps, odometry.sigma_omega_radps);
   const model::RangePriors& range = dataset.range_priors;
-  add(text, "range: {{sigma_m: {}, beta_m: [{}, {}], gamma: [{}, {}]}}\n", range.sigma_m, range.beta_m.mean,
-      range.beta_m.sigma, range.gamma.mean, range.gamma.sigma);
+  add(text, "range: {{sigma_m: {}", range.sigma_m);
+  for (const model::PairTerm& term : model::kPairTerms) {
+    const model::ScalarPrior& prior = range.*term.prior;
+    add(text, ", {}: [{}, {}]", term.key.value, prior.mean, prior.sigma);
+  }
+  text += "}\n";
   const model::SensorDescription& sensors = dataset.sensors;
   if (sensors.gyro_sigma_radps || sensors.gyro_bias_sigma_radps) {
     text += "imu: {";

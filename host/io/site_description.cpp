@@ -305,11 +305,14 @@ model::SensorDescription parse_sensors(const YamlValue& yaml) {
 }
 
 model::RangePriors parse_range_priors(const YamlValue& yaml) {
-  yaml.expect_keys({{"sigma_m"}, {"beta_m", "gamma"}});
+  YamlValue::Keys keys{{"sigma_m"}};
+  for (const model::PairTerm& term : model::kPairTerms) keys.optional.emplace_back(term.key.value);
+  yaml.expect_keys(keys);
   model::RangePriors priors;
   priors.sigma_m = yaml.at("sigma_m").positive_number();
-  if (const auto beta_m = yaml.find("beta_m")) priors.beta_m = parse_prior(*beta_m);
-  if (const auto gamma = yaml.find("gamma")) priors.gamma = parse_prior(*gamma);
+  for (const model::PairTerm& term : model::kPairTerms) {
+    if (const auto prior = yaml.find(term.key.value)) priors.*term.prior = parse_prior(*prior);
+  }
   return priors;
 }
 

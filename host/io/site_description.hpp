@@ -10,6 +10,7 @@
 
 #include "host/io/input_file.hpp"
 #include "host/io/yaml_reader.hpp"
+#include "host/model/anchor_parameters.hpp"
 #include "host/model/surface.hpp"
 #include "host/model/surface_fit.hpp"
 #include "host/model/types.hpp"
@@ -33,7 +34,7 @@ namespace groma::io {
 // of a map. Throws ConfigError.
 [[nodiscard]] model::SensorDescription parse_sensors(const YamlValue& yaml);
 
-// {sigma_m: ...} with optional beta_m and gamma, each [mean, sigma]. Throws ConfigError.
+// {sigma_m: ...} with optional terms of the range model, each [mean, sigma]. Throws ConfigError.
 [[nodiscard]] model::RangePriors parse_range_priors(const YamlValue& yaml);
 
 // Points (x, y, z) from a table with the columns x_m, y_m and z_m, or from a grid in the format of a spline's

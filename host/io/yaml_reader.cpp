@@ -60,7 +60,7 @@ void YamlValue::expect_keys(const Keys& keys) const {
     const bool known = std::find(keys.required.begin(), keys.required.end(), key) != keys.required.end() ||
                        std::find(keys.optional.begin(), keys.optional.end(), key) != keys.optional.end();
     if (!known) {
-      std::vector<std::string_view> all(keys.required);
+      std::vector<std::string_view> all = keys.required;
       all.insert(all.end(), keys.optional.begin(), keys.optional.end());
       throw ConfigError(key_place, fmt::format("unknown key {}", shown(key)),
                         fmt::format("remove it; known here: {}", joined(all)));

@@ -26,8 +26,8 @@ class YamlValue {
 
   // A map with these keys and no others.
   struct Keys {
-    std::initializer_list<std::string_view> required;
-    std::initializer_list<std::string_view> optional = {};
+    std::vector<std::string_view> required;
+    std::vector<std::string_view> optional = {};
   };
   void expect_keys(const Keys& keys) const;
   [[nodiscard]] YamlValue at(std::string_view key) const;  // a required key

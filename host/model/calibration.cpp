@@ -1,6 +1,8 @@
 #include "host/model/calibration.hpp"
 
 #include <algorithm>
+#include <cmath>
+#include <iterator>
 
 #include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
@@ -8,9 +10,47 @@
 namespace groma::model {
 
 bool has_position(const AnchorCalibration& anchor) noexcept {
-  const auto size = static_cast<Eigen::Index>(3 + 2 * anchor.pairs.size());
+  const Eigen::Index size = anchor_size(std::ssize(anchor.pairs));
   return anchor.position_m.allFinite() && anchor.covariance.rows() == size &&
          anchor.covariance.cols() == size && anchor.covariance.allFinite();
+}
+
+Eigen::VectorXd values_of(const AnchorCalibration& anchor) {
+  Eigen::VectorXd out(anchor_size(std::ssize(anchor.pairs)));
+  out.head<3>() = anchor.position_m;
+  Eigen::Index at = 3;
+  for (const PairTerm& term : kPairTerms) {
+    for (const PairBias& pair : anchor.pairs) out(at++) = pair.*term.value;
+  }
+  return out;
+}
+
+void set_values(AnchorCalibration& anchor, const Eigen::VectorXd& values, const Eigen::MatrixXd& covariance) {
+  anchor.position_m = values.head<3>();
+  anchor.covariance = covariance;
+  Eigen::Index at = 3;
+  for (const PairTerm& term : kPairTerms) {
+    for (PairBias& pair : anchor.pairs) {
+      pair.*term.value = values(at);
+      pair.*term.sigma = std::sqrt(covariance(at, at));
+      ++at;
+    }
+  }
+}
+
+Eigen::MatrixXd selection(std::span<const NodeId> tags, const AnchorCalibration& anchor) {
+  const Eigen::Index count = std::ssize(tags);
+  const Eigen::Index own = std::ssize(anchor.pairs);
+  Eigen::MatrixXd out = Eigen::MatrixXd::Zero(anchor_size(count), anchor_size(own));
+  out.topLeftCorner<3, 3>().setIdentity();
+  for (Eigen::Index i = 0; i < own; ++i) {
+    const NodeId id = anchor.pairs[static_cast<std::size_t>(i)].tag_id;
+    const Eigen::Index tag = std::find(tags.begin(), tags.end(), id) - tags.begin();
+    if (tag == count) continue;
+    for (std::size_t term = 0; term < kPairTerms.size(); ++term)
+      out(term_index(term, tag, count), term_index(term, i, own)) = 1.0;
+  }
+  return out;
 }
 
 const AnchorCalibration* find_anchor(const Calibration& calibration, NodeId id) noexcept {
@@ -71,23 +111,19 @@ Calibration surveyed_calibration(std::span<const Anchor> anchors, std::span<cons
                                  const RangePriors& priors, double position_sigma_m) {
   Calibration calibration;
   calibration.verdict = Verdict::kUsable;
-  const auto pairs = static_cast<Eigen::Index>(tags.size());
+  std::vector<PairBias> pairs;
+  for (const Tag& tag : tags) pairs.push_back({.tag_id = tag.id});
+  std::sort(pairs.begin(), pairs.end(),
+            [](const PairBias& a, const PairBias& b) { return a.tag_id < b.tag_id; });
+  Eigen::VectorXd variances(anchor_size(std::ssize(tags)));
+  variances << Eigen::Vector3d::Constant(square(position_sigma_m)),
+      per_tag(sigmas_of(priors).cwiseAbs2(), std::ssize(tags));
   for (const Anchor& anchor : anchors) {
     AnchorCalibration& out = calibration.anchors.emplace_back();
     out.id = anchor.id;
-    out.position_m = anchor.position_m;
     out.verdict = AnchorVerdict::kOk;
-    for (const Tag& tag : tags) {
-      out.pairs.push_back(
-          {tag.id, priors.beta_m.mean, priors.beta_m.sigma, priors.gamma.mean, priors.gamma.sigma});
-    }
-    std::sort(out.pairs.begin(), out.pairs.end(),
-              [](const PairBias& a, const PairBias& b) { return a.tag_id < b.tag_id; });
-    Eigen::VectorXd sigmas(3 + 2 * pairs);
-    sigmas << Eigen::Vector3d::Constant(position_sigma_m),
-        Eigen::VectorXd::Constant(pairs, priors.beta_m.sigma),
-        Eigen::VectorXd::Constant(pairs, priors.gamma.sigma);
-    out.covariance = sigmas.cwiseAbs2().asDiagonal();
+    out.pairs = pairs;
+    set_values(out, anchor_at(anchor.position_m, tags.size(), priors), variances.asDiagonal());
   }
   std::sort(calibration.anchors.begin(), calibration.anchors.end(),
             [](const AnchorCalibration& a, const AnchorCalibration& b) { return a.id < b.id; });

@@ -9,6 +9,7 @@
 
 #include <Eigen/Core>
 
+#include "host/model/anchor_parameters.hpp"
 #include "host/model/antenna_pattern.hpp"
 #include "host/model/types.hpp"
 
@@ -21,21 +22,12 @@ enum class AnchorVerdict { kOk, kWeakZ, kWeak, kNeverLos, kMoved, kNoData };
 }
 enum class Verdict { kUsable, kWarnings, kUnusable };
 
-// Constant and range-dependent bias of one tag and anchor, with marginal sigmas.
-struct PairBias {
-  NodeId tag_id = 0;
-  double beta_m = 0.0;
-  double beta_sigma_m = 0.0;
-  double gamma = 1.0;
-  double gamma_sigma = 0.0;
-};
-
 struct AnchorCalibration {
   NodeId id = 0;
   Eigen::Vector3d position_m = Eigen::Vector3d::Zero();
   std::vector<PairBias> pairs;  // by tag id, ascending; T of them
-  // (3 + 2T) x (3 + 2T): position, then beta of each pair, then gamma of each pair, in the order of `pairs`.
-  // It is the anchor's whole error, including the common frame's error that all anchors share.
+  // anchor_size(T) x anchor_size(T), in the order of `pairs`. It is the anchor's whole error, including the
+  // common frame's error that all anchors share.
   Eigen::MatrixXd covariance;
   std::size_t ranges_used = 0;
   std::size_t ranges_rejected = 0;
@@ -48,6 +40,15 @@ struct AnchorCalibration {
 
 // Whether the anchor has a finite position and a finite covariance of the full size.
 [[nodiscard]] bool has_position(const AnchorCalibration& anchor) noexcept;
+
+// Position and terms of the anchor's pairs: anchor_size(T).
+[[nodiscard]] Eigen::VectorXd values_of(const AnchorCalibration& anchor);
+// Sets them, with the sigmas of the pairs' terms.
+void set_values(AnchorCalibration& anchor, const Eigen::VectorXd& values, const Eigen::MatrixXd& covariance);
+
+// S, by which the anchor's values v and covariance C are S v and S C S^T for these tags: what the anchor
+// lacks is zero.
+[[nodiscard]] Eigen::MatrixXd selection(std::span<const NodeId> tags, const AnchorCalibration& anchor);
 
 // In base_link. An axis that the drive does not determine keeps its configured value, with sigma NaN (null in
 // files).
@@ -103,7 +104,7 @@ struct Calibration {
 // Adds the common frame's covariance to an anchor whose block is its own covariance.
 void add_common_frame(AnchorCalibration& anchor, const Eigen::Matrix4d& common_frame_covariance);
 
-// Positions as surveyed, with position_sigma_m on each axis; beta and gamma of each pair at their priors; no
+// Positions as surveyed, with position_sigma_m on each axis; the terms of each pair at their priors; no
 // common frame error.
 [[nodiscard]] Calibration surveyed_calibration(std::span<const Anchor> anchors, std::span<const Tag> tags,
                                                const RangePriors& priors, double position_sigma_m);

@@ -192,15 +192,6 @@ struct ScalarPrior {
   double sigma = 0.0;
 };
 
-// Priors of z = gamma d + beta + noise: the same for each pair, independent between pairs.
-// Defaults as in docs/reference/files.md, by hand. No narrower than what the calibration's campaigns
-// simulate: biases of 0.3 m and 0.005. The estimators find sigma_m from the ranges.
-struct RangePriors {
-  double sigma_m = 0.1;
-  ScalarPrior beta_m{0.0, 0.5};
-  ScalarPrior gamma{1.0, 0.005};
-};
-
 // White noise of one odometry sample, constant over its interval. It excludes scale and yaw-rate bias.
 // Defaults by hand; every data set and configuration may set them, and the filter estimates the noise from
 // the samples.

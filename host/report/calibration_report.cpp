@@ -169,13 +169,16 @@ void add_pairs(Page& page, const model::AnchorCalibration& anchor,
     cells.push_back({{fmt::format("{}", pair.tag_id)},
                      {fmt::format("{}", count)},
                      number(100.0 * (1.0 - los / all), "{:.0f} %"),
-                     number(std::sqrt(square_m2 / los)),
-                     number(pair.beta_m),
-                     number(pair.beta_sigma_m),
-                     number(pair.gamma, "{:.4f}"),
-                     number(pair.gamma_sigma, "{:.4f}")});
+                     number(std::sqrt(square_m2 / los))});
+    for (const model::PairTerm& term : model::kPairTerms) {
+      cells.back().push_back(number(pair.*term.value, term.text.number));
+      cells.back().push_back(number(pair.*term.sigma, term.text.number));
+    }
   }
-  page.add_table({"tag", "ranges", "NLOS", "rms LOS m", "β m", "σ β m", "γ", "σ γ"}, cells);
+  std::vector<std::string> titles{"tag", "ranges", "NLOS", "rms LOS m"};
+  for (const model::PairTerm& term : model::kPairTerms)
+    titles.insert(titles.end(), {term.text.title, fmt::format("σ {}", term.text.title)});
+  page.add_table(titles, cells);
 }
 
 double los_share(std::span<const calibration::FittedRange> rows) {

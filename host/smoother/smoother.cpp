@@ -30,8 +30,8 @@ constexpr Eigen::Index kPose = 3;
 
 using model::square;
 
-// Parameters common to all poses: the odometry's scale and yaw-rate bias, the delay, then position, beta and
-// gamma of each anchor, then the lever arms, then the frame. They are whitened by their prior: values = mean
+// Parameters common to all poses: the odometry's scale and yaw-rate bias, the delay, then position and terms
+// of each anchor, then the lever arms, then the frame. They are whitened by their prior: values = mean
 // + root * unknowns, where the unknowns have unit prior covariance.
 class Shared {
  public:
@@ -85,13 +85,7 @@ class Shared {
   // First index of the parameters that may be considered: anchors with verdict ok, lever arms, frame.
   [[nodiscard]] Eigen::Index considered() const noexcept { return position(not_trusted_); }
   [[nodiscard]] Eigen::Index position(Eigen::Index anchor) const noexcept {
-    return kDelay + 1 + anchor * (3 + 2 * tags_);
-  }
-  [[nodiscard]] Eigen::Index beta(Eigen::Index anchor, Eigen::Index tag) const noexcept {
-    return position(anchor) + 3 + tag;
-  }
-  [[nodiscard]] Eigen::Index gamma(Eigen::Index anchor, Eigen::Index tag) const noexcept {
-    return beta(anchor, tag) + tags_;
+    return kDelay + 1 + anchor * model::anchor_size(tags_);
   }
   [[nodiscard]] Eigen::Index lever_arm(Eigen::Index tag) const noexcept {
     return position(anchors()) + 3 * tag;
@@ -126,25 +120,12 @@ class Shared {
   void add_anchor(std::size_t slot, const std::vector<model::Tag>& tags,
                   const Eigen::Matrix4d& frame_covariance) {
     const model::AnchorCalibration& anchor = *anchors_[slot];
-    const Eigen::MatrixXd own = model::own_covariance(anchor, frame_covariance);
-    const auto a = static_cast<Eigen::Index>(slot);
-    mean.segment<3>(position(a)) = anchor.position_m;
-    const auto pairs = static_cast<Eigen::Index>(anchor.pairs.size());
-    // Rows of the calibration's block for this robot's tags, and their target rows.
-    std::vector<Eigen::Index> from{0, 1, 2};
-    std::vector<Eigen::Index> to = from;
-    for (Eigen::Index pair = 0; pair < pairs; ++pair) {
-      const model::PairBias& bias = anchor.pairs[static_cast<std::size_t>(pair)];
-      const Eigen::Index tag = tag_slot(tags, bias.tag_id);
-      if (tag < 0) continue;
-      mean(beta(a, tag)) = bias.beta_m;
-      mean(gamma(a, tag)) = bias.gamma;
-      from.insert(from.end(), {3 + pair, 3 + pairs + pair});
-      to.insert(to.end(), {3 + tag, 3 + tags_ + tag});
-    }
-    Eigen::MatrixXd block = Eigen::MatrixXd::Zero(3 + 2 * tags_, 3 + 2 * tags_);
-    block(to, to) = own(from, from);
-    set_root(position(a), block);
+    std::vector<model::NodeId> ids;
+    for (const model::Tag& tag : tags) ids.push_back(tag.id);
+    const Eigen::MatrixXd to = model::selection(ids, anchor);
+    const Eigen::Index at = position(static_cast<Eigen::Index>(slot));
+    mean.segment(at, to.rows()) = to * model::values_of(anchor);
+    set_root(at, to * model::own_covariance(anchor, frame_covariance) * to.transpose());
   }
 
   std::vector<const model::AnchorCalibration*> anchors_;
@@ -311,16 +292,17 @@ class Smoother {
     const double row_s = rows_[sighting.row + 1].t_s - rows_[sighting.row].t_s;
     out.share = (sighting.range->t_s - values(Shared::kDelay) - rows_[sighting.row].t_s) / row_s;
     const Eigen::Vector3d pose = pose_between(sighting.row, out.share);
-    const Eigen::Vector3d surveyed = values.segment<3>(shared_.position(sighting.anchor));
+    const auto tags = static_cast<Eigen::Index>(tags_.size());
+    const auto own = values.segment(shared_.position(sighting.anchor), model::anchor_size(tags));
+    const Eigen::Vector3d surveyed = own.head<3>();
     const Eigen::Vector4d frame = values.segment<4>(shared_.frame());
     out.turned = Eigen::RowVector3d(-surveyed.y(), surveyed.x(), 0.0);
     const Eigen::Vector3d anchor_m = surveyed + frame.head<3>() + frame(3) * out.turned.transpose();
     const Eigen::Vector3d lever_arm_m = values.segment<3>(shared_.lever_arm(sighting.tag));
     const model::SurfacePose on =
         model::pose_on_surface(surface_, {pose.x(), pose.y(), pose.z(), charts_[sighting.row]});
-    out.range = model::predict_range(on.pose, lever_arm_m, anchor_m,
-                                     values(shared_.beta(sighting.anchor, sighting.tag)),
-                                     values(shared_.gamma(sighting.anchor, sighting.tag)));
+    out.range =
+        model::predict_range(on.pose, lever_arm_m, anchor_m, model::terms_of(own, sighting.tag, tags));
     out.by_pose = model::range_by_planar_pose(out.range, on, lever_arm_m);
     const Eigen::Vector3d way = states_[sighting.row + 1].head<kPose>() - states_[sighting.row].head<kPose>();
     out.by_delay = -out.by_pose.dot(way) / row_s;
@@ -477,14 +459,13 @@ class Smoother {
   [[nodiscard]] ByShared by_shared(const Sighting& sighting, const Prediction& predicted,
                                    const Eigen::VectorXd& values) const {
     const Eigen::Index a = shared_.position(sighting.anchor);
-    const Eigen::Index anchor_size = 3 + 2 * static_cast<Eigen::Index>(tags_.size());
+    const auto tags = static_cast<Eigen::Index>(tags_.size());
+    const Eigen::Index anchor_size = model::anchor_size(tags);
     const Eigen::RowVector3d& d_anchor = predicted.range.d_anchor;
     const double frame_yaw = values(shared_.frame() + 3);
     Eigen::RowVectorXd by_anchor = Eigen::RowVectorXd::Zero(anchor_size);
-    by_anchor.head<3>() << d_anchor.x() + frame_yaw * d_anchor.y(), d_anchor.y() - frame_yaw * d_anchor.x(),
-        d_anchor.z();
-    by_anchor(shared_.beta(sighting.anchor, sighting.tag) - a) = 1.0;
-    by_anchor(shared_.gamma(sighting.anchor, sighting.tag) - a) = predicted.range.distance_m;
+    by_anchor(model::pair_indices(sighting.tag, tags)) << d_anchor.x() + frame_yaw * d_anchor.y(),
+        d_anchor.y() - frame_yaw * d_anchor.x(), d_anchor.z(), predicted.range.d_terms.transpose();
     Eigen::RowVectorXd by_frame(filter::kFrameSize);
     by_frame << d_anchor, d_anchor.dot(predicted.turned);
 

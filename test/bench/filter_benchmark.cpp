@@ -63,9 +63,10 @@ std::vector<model::RangeSample> ranges_at_start(int anchors) {
   for (const model::Tag& tag : testing::three_tags()) {
     for (int i = 0; i < std::min(anchors, kMaxAnchors); ++i) {
       const model::AnchorCalibration& anchor = calibration.anchors[static_cast<std::size_t>(i)];
-      ranges.push_back(
-          {0.0, tag.id, anchor.id,
-           model::predict_range(pose.pose, tag.lever_arm_m, anchor.position_m, 0.2, 1.0).range_m});
+      ranges.push_back({0.0, tag.id, anchor.id,
+                        model::predict_range(pose.pose, tag.lever_arm_m, anchor.position_m,
+                                             model::values_of({.beta_m = 0.2}))
+                            .range_m});
     }
   }
   return ranges;

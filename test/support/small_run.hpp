@@ -85,9 +85,10 @@ inline io::Dataset make_small_run(double duration_s, std::uint64_t seed) {
         run.surveyed_anchors[static_cast<std::size_t>(i / 2) % run.surveyed_anchors.size()];
     const model::RigidPose pose{{truth.x_m, truth.y_m, truth.z_m},
                                 model::rotation_from_zyx(truth.yaw_rad, 0.0, 0.0)};
-    const double range_m = model::predict_range(pose, tag.lever_arm_m, anchor.position_m,
-                                                small_run_beta_m(tag.id, anchor.id), 1.0)
-                               .range_m;
+    const double range_m =
+        model::predict_range(pose, tag.lever_arm_m, anchor.position_m,
+                             model::values_of({.beta_m = small_run_beta_m(tag.id, anchor.id)}))
+            .range_m;
     run.ranges.push_back({t_s, tag.id, anchor.id, range_m + 0.08 * noise()});
   }
   return run;

@@ -51,17 +51,14 @@ TEST(ScoreHeldOut, CountsTheUncertaintyOfTheFit) {
   first.problem.priors.gamma = {1.0, kGammaSigma};
   first.problem.position.information = 1e-4 * Eigen::Matrix3d::Identity();
   first.kernels = {RobustKernel(KernelShape{.scale_m = kScale_m, .wide = 0.0, .bumps = {}, .gross = 1e-9})};
-  first.anchor = Eigen::VectorXd::Zero(5);
-  first.anchor << 6.0, 2.0, 3.0, 0.0, 1.0;
+  first.anchor = anchor_at({6.0, 2.0, 3.0}, 1, {});
   const auto by_unknowns = [&](const Observation& row) {
-    const Eigen::Vector3d way_m = first.anchor.head<3>() - row.tag_m;
-    Eigen::VectorXd out(5);
-    out << way_m.normalized(), 1.0, way_m.norm();
+    const Eigen::Vector3d way_m = row.tag_m - first.anchor.head<3>();
+    Eigen::VectorXd out(first.anchor.size());
+    out << -way_m.normalized(), model::by_terms(way_m.norm(), way_m.normalized());
     return out;
   };
-  Eigen::MatrixXd information = 1e-4 * Eigen::MatrixXd::Identity(5, 5);
-  information(3, 3) = 1.0 / (kBetaSigma_m * kBetaSigma_m);
-  information(4, 4) = 1.0 / (kGammaSigma * kGammaSigma);
+  Eigen::MatrixXd information = information_of_priors(first.problem);
   test::Random random(3);
   std::vector<Observation> rows(90);
   for (std::size_t i = 0; i < rows.size(); ++i) {
@@ -96,7 +93,7 @@ TEST(ScoreHeldOut, WithoutLaterRangesTheHeightIsUnknown) {
   first.problem.tag_count = 1;
   first.problem.position.information = Eigen::Matrix3d::Identity();
   first.kernels.resize(1);
-  first.anchor = Eigen::VectorXd::Zero(5);
+  first.anchor = anchor_at(Eigen::Vector3d::Zero(), 1, {});
   const HeldOut found = score_held_out(first, {}, 0.0);
   EXPECT_FALSE(found.rms_m.has_value());
   EXPECT_EQ(found.height_variance_m2, std::numeric_limits<double>::infinity());

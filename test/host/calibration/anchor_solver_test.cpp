@@ -28,8 +28,9 @@ Scene make_scene(std::uint64_t seed, double noise_m, double blocked_share) {
   Scene scene;
   scene.truth = anchor_at({8.0, -3.0, 2.5}, kSolvedTags, {});
   for (std::size_t tag = 0; tag < kSolvedTags; ++tag) {
-    scene.truth(beta_index(tag)) = 0.3 * random.gaussian();
-    scene.truth(gamma_index(tag, kSolvedTags)) = 1.0 + 0.004 * random.gaussian();
+    const PairIndex index = pair_index(tag, kSolvedTags);
+    scene.truth(index[3 + model::kBeta]) = 0.3 * random.gaussian();
+    scene.truth(index[3 + model::kGamma]) = 1.0 + 0.004 * random.gaussian();
   }
   for (int i = 0; i < 300; ++i) {
     Observation row;
@@ -54,11 +55,12 @@ TEST(AnchorSolver, GradientIsTheDerivativeOfTheCost) {
   const auto exact_cost = [&](const AnchorVector& anchor) {
     const Eigen::Vector3d offset_m = anchor.head<3>() - scene.problem.position.mean_m;
     double cost = 0.5 * offset_m.dot(scene.problem.position.information * offset_m);
-    const model::RangePriors& priors = scene.problem.priors;
     for (std::size_t tag = 0; tag < kSolvedTags; ++tag) {
-      cost += 0.5 * std::pow((anchor(beta_index(tag)) - priors.beta_m.mean) / priors.beta_m.sigma, 2);
-      cost +=
-          0.5 * std::pow((anchor(gamma_index(tag, kSolvedTags)) - priors.gamma.mean) / priors.gamma.sigma, 2);
+      const PairIndex index = pair_index(tag, kSolvedTags);
+      for (std::size_t i = 0; i < model::kPairTerms.size(); ++i) {
+        const model::ScalarPrior& prior = scene.problem.priors.*model::kPairTerms[i].prior;
+        cost += 0.5 * std::pow((anchor(index[3 + i]) - prior.mean) / prior.sigma, 2);
+      }
     }
     for (const Observation& row : scene.rows) {
       cost -= std::log(test::exact_density(shape, residual_m(row, anchor, kSolvedTags)));
@@ -92,8 +94,8 @@ TEST(AnchorSolver, WithoutRangesTheGradientIsThatOfThePriors) {
   AnchorVector anchor = anchor_at({2.0, 0.0, 3.5}, kSolvedTags, problem.priors);
   anchor.segment(3, 3) << 0.4, -0.2, 0.1;
   anchor.segment(6, 3) << 1.01, 0.97, 0.99;
-  Eigen::VectorXd expected(9);
-  expected << 4.0, -10.0, 3.0, 0.3 / 0.09, -0.3 / 0.09, 0.0, 0.02 / 0.0004, -0.02 / 0.0004, 0.0;
+  Eigen::VectorXd expected = Eigen::VectorXd::Zero(anchor.size());
+  expected.head<9>() << 4.0, -10.0, 3.0, 0.3 / 0.09, -0.3 / 0.09, 0.0, 0.02 / 0.0004, -0.02 / 0.0004, 0.0;
   const NormalEquations found = linearize({.problem = problem, .anchor = anchor, .kernels = kernels});
   EXPECT_LT((found.gradient - expected).norm(), 1e-9);
 }
@@ -125,8 +127,10 @@ TEST(AnchorSolver, WeightsARangeByItsPosesCovariance) {
     const Eigen::Vector2d other = 0.1 * random.gaussians(2);
     const Eigen::Matrix2d spread = one * one.transpose() + other * other.transpose();
     row.pose_spread_m2 = Eigen::Vector3d(spread(0, 0), spread(0, 1), spread(1, 1)).cast<float>();
-    const double gamma = scene.truth(gamma_index(row.tag, kSolvedTags));
-    const Eigen::Vector2d j = gamma * (row.tag_m - scene.truth.head<3>()).normalized().head<2>();
+    const PairIndex index = pair_index(row.tag, kSolvedTags);
+    const double gamma = scene.truth(index[3 + model::kGamma]);
+    const Eigen::Vector3d way = row.tag_m - scene.truth.head<3>();
+    const Eigen::Vector2d j = gamma * way.normalized().head<2>();
     const double variance_m2 = 0.01 + j.dot(spread * j);
     const double r = 1.5 * std::sqrt(variance_m2);
     Observation off = row;
@@ -138,9 +142,7 @@ TEST(AnchorSolver, WeightsARangeByItsPosesCovariance) {
     EXPECT_NEAR(value.density * std::sqrt(2.0 * std::numbers::pi * variance_m2) / std::exp(-0.5 * 2.25), 1.0,
                 2e-3);
     Eigen::VectorXd by_all = Eigen::VectorXd::Zero(scene.truth.size());
-    by_all.head<3>() = gamma * (scene.truth.head<3>() - row.tag_m).normalized();
-    by_all(beta_index(row.tag)) = 1.0;
-    by_all(gamma_index(row.tag, kSolvedTags)) = (scene.truth.head<3>() - row.tag_m).norm();
+    by_all(index) << -gamma * way.normalized(), model::by_terms(way.norm(), way.normalized());
     information += by_all * by_all.transpose() / variance_m2;
   }
   // All ranges together weigh as each by itself.

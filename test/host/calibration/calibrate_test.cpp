@@ -131,7 +131,7 @@ TEST(Calibrate, AWeakEarlierHeightDoesNotDecideTheSide) {
       model::AnchorCalibration& known = earlier.anchors.emplace_back();
       known.id = anchor.id;
       known.position_m = anchor.position_m;
-      known.covariance = 1e-3 * Eigen::MatrixXd::Identity(5, 5);
+      known.covariance = 1e-3 * Eigen::MatrixXd::Identity(model::kPairSize, model::kPairSize);
       known.pairs.push_back({.tag_id = 1});
       known.verdict = verdict;
     }

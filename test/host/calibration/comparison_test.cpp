@@ -54,14 +54,12 @@ Pair draw_pair(std::uint64_t seed, std::size_t anchors = 12, double sigma_m = 0.
     for (std::size_t i = 0; i < anchors; ++i) {
       model::AnchorCalibration& anchor = calibration->anchors.emplace_back();
       anchor.id = static_cast<model::NodeId>(10 + i);
-      anchor.covariance = drawn_covariance(random, 5, sigma_m);
+      anchor.covariance = drawn_covariance(random, model::kPairSize, sigma_m);
       const Eigen::VectorXd error = random.gaussians(anchor.covariance);
-      anchor.position_m = out.truth[i] + position_by_frame(out.truth[i]) * frame + error.head<3>();
-      anchor.pairs.push_back({.tag_id = 1,
-                              .beta_m = biases[i](0) + error(3),
-                              .beta_sigma_m = std::sqrt(anchor.covariance(3, 3)),
-                              .gamma = 1.0 + error(4),
-                              .gamma_sigma = std::sqrt(anchor.covariance(4, 4))});
+      const Eigen::Vector3d place_m = out.truth[i] + position_by_frame(out.truth[i]) * frame;
+      anchor.pairs.push_back({.tag_id = 1});
+      set_values(anchor, model::anchor_at(place_m, 1, {.beta_m = {biases[i](0), 0.3}}) + error,
+                 anchor.covariance);
       model::add_common_frame(anchor, calibration->common_frame_covariance);
       anchor.verdict = AnchorVerdict::kOk;
       anchor.ranges_used = 1000;
@@ -190,11 +188,12 @@ TEST(Update, IsTheDenseSolutionOfBothDrives) {
   model::RangePriors priors;
   priors.beta_m = {0.1, 0.3};
   priors.gamma = {1.0, 0.2};
+  constexpr Eigen::Index kSize = model::kPairSize;
   Pair pair = draw_pair(8, 4);
   const Update updated = update(pair.a, pair.b, priors);
   ASSERT_THAT(updated.moved, IsEmpty());
 
-  const Eigen::Index frames = 20;  // after four anchors of five unknowns each
+  const Eigen::Index frames = 4 * kSize;
   Eigen::MatrixXd information = Eigen::MatrixXd::Zero(frames + 8, frames + 8);
   Eigen::VectorXd right_side = Eigen::VectorXd::Zero(frames + 8);
   information.block<4, 4>(frames, frames) = pair.a.common_frame_covariance.inverse();
@@ -204,25 +203,23 @@ TEST(Update, IsTheDenseSolutionOfBothDrives) {
       const model::Calibration& calibration = drive == 0 ? pair.a : pair.b;
       const auto& anchor = calibration.anchors[static_cast<std::size_t>(i)];
       const Eigen::MatrixXd weight = own(anchor, calibration).inverse();
-      Eigen::VectorXd values(5);
-      values << anchor.position_m, anchor.pairs[0].beta_m, anchor.pairs[0].gamma;
-      Eigen::MatrixXd by = Eigen::MatrixXd::Zero(5, frames + 8);
-      by.middleCols<5>(5 * i).setIdentity();
+      Eigen::MatrixXd by = Eigen::MatrixXd::Zero(kSize, frames + 8);
+      by.middleCols<kSize>(kSize * i).setIdentity();
       by.block<3, 4>(0, frames + 4 * drive) =
           position_by_frame(pair.a.anchors[static_cast<std::size_t>(i)].position_m);
       information += by.transpose() * weight * by;
-      right_side += by.transpose() * weight * values;
+      right_side += by.transpose() * weight * values_of(anchor);
     }
-    const Eigen::Vector2d priors_weight(1.0 / 0.09, 1.0 / 0.04);
-    information.block<2, 2>(5 * i + 3, 5 * i + 3) -= priors_weight.asDiagonal().toDenseMatrix();
-    right_side.segment<2>(5 * i + 3) -= priors_weight.cwiseProduct(Eigen::Vector2d(0.1, 1.0));
+    const model::TermVector weight = sigmas_of(priors).cwiseAbs2().cwiseInverse();
+    information.diagonal().segment<model::kPairTermCount>(kSize * i + 3) -= weight;
+    right_side.segment<model::kPairTermCount>(kSize * i + 3) -= weight.cwiseProduct(means_of(priors));
   }
   const Eigen::MatrixXd covariance = information.inverse();
   const Eigen::VectorXd solution = covariance * right_side;
   for (Eigen::Index i = 0; i < 4; ++i) {
     const auto& anchor = updated.calibration.anchors[static_cast<std::size_t>(i)];
-    const Eigen::Vector3d dense_m = solution.segment<3>(5 * i);
-    const Eigen::Matrix3d dense = covariance.block<3, 3>(5 * i, 5 * i);
+    const Eigen::Vector3d dense_m = solution.segment<3>(kSize * i);
+    const Eigen::Matrix3d dense = covariance.block<3, 3>(kSize * i, kSize * i);
     EXPECT_LT((anchor.position_m - dense_m).norm(), 0.3 * std::sqrt(dense.trace())) << i;
     const Eigen::Matrix3d stated = anchor.covariance.topLeftCorner<3, 3>();
     EXPECT_GT(stated.trace(), 0.9 * dense.trace()) << i;
@@ -240,14 +237,12 @@ TEST(Update, CountsThePriorsOfTheBiasesOnce) {
     model::AnchorCalibration& anchor = out.anchors.emplace_back();
     anchor.id = 10;
     anchor.position_m = {3.0, 4.0, 2.0};
-    anchor.covariance = 0.01 * Eigen::MatrixXd::Identity(5, 5);
-    anchor.covariance(3, 3) = 0.5 * 0.09;
-    anchor.covariance(4, 4) = 0.5 * 0.0004;
     anchor.pairs.push_back({.tag_id = 1,
                             .beta_m = 0.5 * (priors.beta_m.mean + beta_m),
-                            .beta_sigma_m = std::sqrt(anchor.covariance(3, 3)),
-                            .gamma = 0.5 * (priors.gamma.mean + gamma),
-                            .gamma_sigma = std::sqrt(anchor.covariance(4, 4))});
+                            .gamma = 0.5 * (priors.gamma.mean + gamma)});
+    Eigen::VectorXd variances(model::kPairSize);
+    variances << Eigen::Vector3d::Constant(0.01), 0.5 * sigmas_of(priors).cwiseAbs2();
+    set_values(anchor, values_of(anchor), variances.asDiagonal());
     anchor.verdict = AnchorVerdict::kOk;
     return out;
   };

@@ -271,8 +271,10 @@ TEST(AnchorSolver, GradientWithNlosStatesIsTheDerivativeOfTheCost) {
   problem.position.information = 0.01 * Eigen::Matrix3d::Identity();
   problem.los_states = &los_states;
   const std::vector<RobustKernel> kernels(kTags, RobustKernel(KernelShape{.scale_m = 0.15}));
-  AnchorVector anchor(excess_index(kTags) + 3);
-  anchor << 9.7, 5.2, 2.5, 0.1, 0.3, 1.01, 0.99, 0.35, 0.1, -0.15;
+  AnchorVector anchor = anchor_at({9.7, 5.2, 2.5}, kTags, {});
+  anchor.segment<4>(3) << 0.1, 0.3, 1.01, 0.99;
+  anchor.conservativeResize(anchor.size() + 3);
+  anchor.tail<3>() << 0.35, 0.1, -0.15;
   const NormalEquations equations = linearize({.problem = problem, .anchor = anchor, .kernels = kernels});
   EXPECT_NEAR(equations.cost, robust_cost({.problem = problem, .anchor = anchor, .kernels = kernels}), 1e-9);
   const Eigen::MatrixXd numerical = test::numerical_jacobian(

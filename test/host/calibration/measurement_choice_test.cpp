@@ -46,27 +46,24 @@ std::vector<RangeGeometry> seen_from(const Eigen::Vector3d& anchor_m, const std:
 AnchorGeometry geometry_of(const std::vector<RangeGeometry>& ranges, double mirror_offset_m) {
   return {.ranges = ranges,
           .tag_count = kChosenTags,
-          .beta_m = {.mean = 0.0, .sigma = 0.3},
-          .gamma = {.mean = 1.0, .sigma = 0.005},
+          .priors = {.beta_m = {.mean = 0.0, .sigma = 0.3}, .gamma = {.mean = 1.0, .sigma = 0.005}},
           .mirror_offset_m = mirror_offset_m};
 }
 
 // Reference: information of position, biases and side, its inverse, the root of the trace.
 double dilution_m(const AnchorGeometry& anchor, const std::vector<std::size_t>& chosen) {
-  constexpr Eigen::Index kSize = 4 + 2 * static_cast<Eigen::Index>(kChosenTags);
+  constexpr auto kTags = static_cast<Eigen::Index>(kChosenTags);
+  constexpr Eigen::Index kSize = model::anchor_size(kTags) + 1;
   Eigen::MatrixXd information = Eigen::MatrixXd::Zero(kSize, kSize);
   information.diagonal().head<3>().setConstant(1e-4);
-  information.diagonal().segment(3, kChosenTags).setConstant(1.0 / std::pow(anchor.beta_m.sigma, 2));
-  information.diagonal()
-      .segment(3 + kChosenTags, kChosenTags)
-      .setConstant(1.0 / std::pow(anchor.gamma.sigma, 2));
+  information.diagonal().segment<kSize - 4>(3) =
+      model::per_tag(model::sigmas_of(anchor.priors), kTags).cwiseAbs2().cwiseInverse();
   information(kSize - 1, kSize - 1) = 1.0;
   for (const std::size_t i : chosen) {
     const RangeGeometry& range = anchor.ranges[i];
     Eigen::VectorXd row = Eigen::VectorXd::Zero(kSize);
-    row.head<3>() = -range.direction;
-    row(static_cast<Eigen::Index>(3 + range.tag)) = 1.0;
-    row(static_cast<Eigen::Index>(3 + kChosenTags + range.tag)) = range.distance_m;
+    row(model::pair_indices(static_cast<Eigen::Index>(range.tag), kTags)) << -range.direction,
+        model::by_terms(range.distance_m, range.direction);
     row(kSize - 1) = range.mirrored_m - range.distance_m;
     information += row * row.transpose() / std::pow(range.sigma_m, 2);
   }

@@ -93,9 +93,8 @@ TEST(StretchGains, EqualThoseOfTheDenseProblemWithASecondPlace) {
     for (std::size_t i = 0; i < rows.size(); ++i) {
       const Eigen::Vector3d to_anchor_m = anchor.head<3>() - rows[i].tag_m;
       Eigen::VectorXd j = Eigen::VectorXd::Zero(size + 3);
-      j.head<3>() = to_anchor_m.normalized();
-      j(3 + static_cast<Eigen::Index>(rows[i].tag)) = 1.0;
-      j(3 + static_cast<Eigen::Index>(kTags + rows[i].tag)) = to_anchor_m.norm();
+      j(pair_index(rows[i].tag, kTags)) << to_anchor_m.normalized(),
+          model::by_terms(to_anchor_m.norm(), -to_anchor_m.normalized());
       if (i >= gains.first_row[from] && i < gains.first_row[to]) j.tail<3>() = j.head<3>();
       const double r = rows[i].range_m - to_anchor_m.norm();
       const double weight = std::min(1.0, 0.3 / std::abs(r)) / 0.01;

@@ -40,9 +40,7 @@ std::optional<model::RangeNoise> found(const Truth& truth, std::uint64_t seed) {
     }
     fits[i].problem.rows = rows[i];
     fits[i].problem.tag_count = 1;
-    fits[i].anchor = Eigen::VectorXd::Zero(5);
-    fits[i].anchor(beta_index(0)) = 0.2;
-    fits[i].anchor(gamma_index(0, 1)) = 1.0;
+    fits[i].anchor = anchor_at(Eigen::Vector3d::Zero(), 1, {.beta_m = {0.2, 0.5}});
     fits[i].kernels.resize(1);
   }
   return range_noise(fits);

@@ -54,8 +54,9 @@ TEST(SharedUnknowns, JacobianIsTheDerivativeOfTheRange) {
     };
     const Eigen::VectorXd expected =
         test::numerical_jacobian(range, Eigen::VectorXd::Zero(kSharedTerms)).transpose();
-    const model::AntennaPrediction predicted = model::predict_antenna_range(row.tag_m, anchor_m, 0.0, gamma);
-    const SharedRow found = shared_jacobian(row, predicted, gamma, kFraction);
+    const model::AntennaPrediction predicted =
+        model::predict_antenna_range(row.tag_m, anchor_m, model::values_of({.gamma = gamma}));
+    const SharedRow found = shared_jacobian(row, predicted, kFraction);
     EXPECT_LT((found - expected).cwiseAbs().maxCoeff(), 1e-6);
   }
 }
@@ -230,7 +231,8 @@ TEST(JointEquations, AreTheSchurComplementOfTheDenseSystem) {
   test::Random random(3);
   constexpr std::size_t kAnchors = 3;
   constexpr std::size_t kRows = 60;
-  constexpr Eigen::Index kOwn = 5 + 2 * kSharingTags;  // the two NLOS excesses at the end
+  // The two NLOS excesses are at the end.
+  constexpr Eigen::Index kOwn = model::anchor_size(static_cast<Eigen::Index>(kSharingTags)) + 2;
   const AnchorLos los_states = los_of(kRows);
   const SharedUnknowns unknowns{
       .knots = {.begin_s = 0.0, .spacing_s = 4.0, .count = 4}, .knot_scale = {}, .body_tags = kSharingTags};
@@ -273,11 +275,9 @@ TEST(JointEquations, AreTheSchurComplementOfTheDenseSystem) {
       const RowValue& value = at_solution.value;
       const PairRow& pair = at_solution.j;
       const KnotShare knot = knot_share(unknowns.knots, row.t_s);
-      const SharedRow terms = shared_jacobian(row, at_solution.predicted, at_solution.gamma, knot.fraction);
+      const SharedRow terms = shared_jacobian(row, at_solution.predicted, knot.fraction);
       Eigen::VectorXd own = Eigen::VectorXd::Zero(dense.rows());
-      own.segment<3>(at) = pair.head<3>();
-      own(at + beta_index(row.tag)) = pair(3);
-      own(at + gamma_index(row.tag, kSharingTags)) = pair(4);
+      own.segment<kOwn>(at)(pair_index(row.tag, kSharingTags)) = pair;
       Eigen::VectorXd shared = Eigen::VectorXd::Zero(dense.rows());
       shared.segment<6>(own_size + knot.first) = terms.head<6>();
       shared(own_size + unknowns.delay()) = terms(6);

@@ -26,8 +26,7 @@ TEST(WeighByEarlier, AddsTheCostOfTheEarlierPlace) {
     AnchorFit fit;
     fit.problem.tag_count = 1;
     fit.kernels.resize(1);
-    fit.anchor.resize(5);
-    fit.anchor << 0.0, 0.0, 1.0, 0.0, 1.0;
+    fit.anchor = anchor_at(Eigen::Vector3d::UnitZ(), 1, {});
     MirrorHypothesis mirror{.anchor = fit.anchor, .cost_excess = 2.0};
     mirror.anchor(2) = -1.0;
     weigh_by_earlier(

@@ -61,10 +61,8 @@ Truth drive_along(const model::Calibration& calibration, int trips, Random& rand
   for (const model::AnchorCalibration& anchor : calibration.anchors) {
     Eigen::VectorXd site =
         random.gaussians(model::own_covariance(anchor, calibration.common_frame_covariance));
-    site.head<3>() += anchor.position_m;
+    site += model::values_of(anchor);
     site.head<3>() += frame.head<3>() + frame(3) * Eigen::Vector3d(-site(1), site(0), 0.0);
-    site.segment<3>(3).array() += 0.2;
-    site.tail<3>().array() += 1.0;
     out.anchors.emplace_back(site.head<3>());
     sites.push_back(site);
   }
@@ -97,9 +95,9 @@ Truth drive_along(const model::Calibration& calibration, int trips, Random& rand
       const std::size_t tag = (i + static_cast<std::size_t>(row)) % 3;
       const model::SurfacePose pose = model::pose_on_surface(
           model::Surface(), testing::integrate(model::Surface(), at, velocity, dt_s, 1));
-      const auto prediction = model::predict_range(pose.pose, tags[tag].lever_arm_m, sites[i].head<3>(),
-                                                   sites[i](3 + static_cast<Eigen::Index>(tag)),
-                                                   sites[i](6 + static_cast<Eigen::Index>(tag)));
+      const auto prediction =
+          model::predict_range(pose.pose, tags[tag].lever_arm_m, sites[i].head<3>(),
+                               model::terms_of(sites[i], static_cast<Eigen::Index>(tag), 3));
       out.ranges.push_back({t_s + dt_s, tags[tag].id, calibration.anchors[i].id,
                             prediction.range_m + slow_m[i] + noise.white_sigma_m * random.gaussian()});
     }

@@ -81,9 +81,10 @@ inline double endure(Model model, std::size_t updates, double white_sigma_m, std
       const int anchor = (first + static_cast<int>(i % kActive)) % kAnchors;
       const model::Tag tag = three_tags()[i / kActive % 3];
       const model::SurfacePose pose = model::pose_on_surface(model::Surface(), at);
-      const double range_m = model::predict_range(pose.pose, tag.lever_arm_m,
-                                                  ring[static_cast<std::size_t>(anchor)].position_m, 0.0, 1.0)
-                                 .range_m;
+      const double range_m =
+          model::predict_range(pose.pose, tag.lever_arm_m, ring[static_cast<std::size_t>(anchor)].position_m,
+                               model::values_of(model::PairBias{}))
+              .range_m;
       filter->process({.t_s = t_s,
                        .tag_id = tag.id,
                        .anchor_id = ring[static_cast<std::size_t>(anchor)].id,

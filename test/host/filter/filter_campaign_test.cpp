@@ -137,7 +137,7 @@ class Bound {
  private:
   static constexpr Eigen::Index kRow = 5;  // after x, y, theta, scale, yaw-rate bias: the sample's errors
   static constexpr Eigen::Index kOdometry = 8;
-  static constexpr Eigen::Index kAnchor = 9;
+  static constexpr Eigen::Index kAnchor = model::anchor_size(3);
 
   const model::Surface& surface_;
   const model::Calibration& calibration_;

@@ -77,7 +77,7 @@ class Robot {
       ++turn_;
       const double range_m = model::predict_range(model::pose_on_surface(chart, when).pose,
                                                   testing::three_tags()[tag].lever_arm_m, anchor.position_m,
-                                                  anchor.pairs[tag].beta_m, anchor.pairs[tag].gamma)
+                                                  model::values_of(anchor.pairs[tag]))
                                  .range_m;
       if (range_m > 30.0) continue;
       estimator.process(model::RangeSample{t_s_ + dt_s, testing::three_tags()[tag].id, anchor.id,

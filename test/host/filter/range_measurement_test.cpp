@@ -108,7 +108,7 @@ TEST_F(RangeMeasurementTest, PredictsFromThePoseADelayAgo) {
 
 TEST(Parameters, EachHasItsOwnIndex) {
   const Parameters parameters(Site(testing::three_tags(), testing::six_anchors(), 0.01));
-  ASSERT_EQ(parameters.size(), 6 * 9 + 3 * 3 + 4 + 6 + kGroundSize);
+  ASSERT_EQ(parameters.size(), 6 * model::anchor_size(3) + 3 * 3 + 4 + 6 + kGroundSize);
   Eigen::VectorXi taken = Eigen::VectorXi::Zero(parameters.size());
   const auto take = [&](int first, int count) {
     ASSERT_LE(first + count, parameters.size());
@@ -117,8 +117,8 @@ TEST(Parameters, EachHasItsOwnIndex) {
   for (int anchor = 0; anchor < 6; ++anchor) {
     take(parameters.position(anchor), 3);
     for (int tag = 0; tag < 3; ++tag) {
-      take(parameters.beta(anchor, tag), 1);
-      take(parameters.gamma(anchor, tag), 1);
+      const PairIndices index = parameters.pair_indices(anchor, tag);
+      for (std::size_t term = 3; term < model::kPairSize; ++term) take(index[term], 1);
     }
   }
   for (int tag = 0; tag < 3; ++tag) take(parameters.lever_arm(tag), 3);
@@ -142,14 +142,15 @@ TEST(Parameters, UseTheCalibrationsBlocksForTheGivenTags) {
   for (int slot = 0; slot < 6; ++slot) {
     const model::AnchorCalibration& anchor = calibration.anchors[static_cast<std::size_t>(slot)];
     EXPECT_EQ(site.anchor_index(anchor.id), slot);
-    EXPECT_EQ(parameters.values()(parameters.beta(slot, 0)), anchor.pairs[2].beta_m);
-    EXPECT_EQ(parameters.values()(parameters.gamma(slot, 2)), anchor.pairs[0].gamma);
+    EXPECT_EQ(parameters.pair(site, slot, 0).terms, model::values_of(anchor.pairs[2]));
+    EXPECT_EQ(parameters.pair(site, slot, 2).terms, model::values_of(anchor.pairs[0]));
     EXPECT_TRUE(site.knows_pair(slot, 0));
     EXPECT_FALSE(site.knows_pair(slot, 1));
     // beta of tag 3 against gamma of tag 1, and against the position's z.
-    EXPECT_EQ(covariance(parameters.beta(slot, 0), parameters.gamma(slot, 2)),
-              anchor.covariance(3 + 2, 6 + 0));
-    EXPECT_EQ(covariance(parameters.position(slot) + 2, parameters.beta(slot, 0)), anchor.covariance(2, 5));
+    const int beta = parameters.pair_indices(slot, 0)[3 + model::kBeta];
+    const int gamma = parameters.pair_indices(slot, 2)[3 + model::kGamma];
+    EXPECT_EQ(covariance(beta, gamma), anchor.covariance(3 + 2, 6 + 0));
+    EXPECT_EQ(covariance(parameters.position(slot) + 2, beta), anchor.covariance(2, 5));
   }
   EXPECT_EQ(covariance(parameters.lever_arm(1), parameters.lever_arm(1)), 1e-4);
   EXPECT_EQ(covariance, covariance.transpose());

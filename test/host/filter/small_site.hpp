@@ -135,13 +135,9 @@ inline Drive drive(const model::Surface& surface, const model::Calibration& cali
   for (const model::AnchorCalibration& anchor : calibration.anchors) {
     Eigen::VectorXd site =
         random.gaussians(model::own_covariance(anchor, calibration.common_frame_covariance));
-    site.head<3>() += anchor.position_m;
+    site += model::values_of(anchor);
     const Eigen::Vector3d turned(-site(1), site(0), 0.0);
     site.head<3>() += frame.head<3>() + frame(3) * turned;
-    for (Eigen::Index tag = 0; tag < 3; ++tag) {
-      site(3 + tag) += anchor.pairs[static_cast<std::size_t>(tag)].beta_m;
-      site(6 + tag) += anchor.pairs[static_cast<std::size_t>(tag)].gamma;
-    }
     sites.push_back(site);
   }
 
@@ -179,9 +175,9 @@ inline Drive drive(const model::Surface& surface, const model::Calibration& cali
       // Range timestamps are late by the delay.
       const model::PlanarPose when = integrate(surface, at, velocity, next_range_s - delay - t_s, 2);
       const Eigen::VectorXd& site = sites[anchor];
-      const auto prediction = model::predict_range(
-          model::pose_on_surface(surface, when).pose, tags[tag].lever_arm_m, site.head<3>(),
-          site(3 + static_cast<Eigen::Index>(tag)), site(6 + static_cast<Eigen::Index>(tag)));
+      const auto prediction =
+          model::predict_range(model::pose_on_surface(surface, when).pose, tags[tag].lever_arm_m,
+                               site.head<3>(), model::terms_of(site, static_cast<Eigen::Index>(tag), 3));
       out.ranges.push_back({next_range_s, tags[tag].id, calibration.anchors[anchor].id,
                             prediction.range_m + slow_m[anchor] + noise.white_sigma_m * random.gaussian()});
     }
@@ -199,10 +195,10 @@ inline Eigen::MatrixXd prior_covariance(const Site& site, const Parameters& para
     if (slot < 0) continue;
     std::vector<int> at{parameters.position(slot), parameters.position(slot) + 1,
                         parameters.position(slot) + 2};
-    for (const model::PairBias& pair : anchor.pairs)
-      at.push_back(parameters.beta(slot, site.tag_slot(pair.tag_id)));
-    for (const model::PairBias& pair : anchor.pairs)
-      at.push_back(parameters.gamma(slot, site.tag_slot(pair.tag_id)));
+    for (std::size_t term = 0; term < model::kPairTerms.size(); ++term) {
+      for (const model::PairBias& pair : anchor.pairs)
+        at.push_back(parameters.pair_indices(slot, site.tag_slot(pair.tag_id))[3 + term]);
+    }
     covariance(at, at) = model::own_covariance(anchor, calibration.common_frame_covariance);
     if (!calibration.range_noise) continue;
     covariance(parameters.range_bias(slot), parameters.range_bias(slot)) =

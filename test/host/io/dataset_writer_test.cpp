@@ -36,8 +36,8 @@ auto members(const model::ScalarPrior& of) {
   return std::tie(mean, sigma);
 }
 auto members(const model::RangePriors& of) {
-  const auto& [sigma, beta, gamma] = of;
-  return std::tie(sigma, beta, gamma);
+  return std::apply([&](const auto&... term) { return std::tie(of.sigma_m, of.*term.prior...); },
+                    model::kPairTerms);
 }
 auto members(const model::SurfaceMismatch& of) {
   const auto& [sigma, slope_sigma, length] = of;
@@ -173,7 +173,9 @@ Dataset sample() {
   dataset.name = "a \"quoted\" \\ name: 1";
   dataset.origin = "simulated";
   dataset.odometry_noise = {0.021, 0.032, 0.0061};
-  dataset.range_priors = {0.07, {0.2, 0.3}, {1.001, 0.0051}};
+  dataset.range_priors.sigma_m = 0.07;
+  for (const model::PairTerm& term : model::kPairTerms)
+    dataset.range_priors.*term.prior = {term.neutral + 0.2, 0.3};
   dataset.surface = model::Surface(std::vector<model::Chart>{
       {"ground",
        model::BSpline({-3.5, 1.25, 0.5, 1.0 / 3.0, 5, 6}, {0, 0.1, 0.2, 0.3, 0.4,       7,  //
@@ -230,8 +232,8 @@ TEST(DatasetWriter, EachMemberOfTheSampleIsSet) {
   const std::vector<std::size_t> none;
   EXPECT_EQ(same_members(set.odometry_noise, {}), none);
   EXPECT_EQ(same_members(set.range_priors, {}), none);
-  EXPECT_EQ(same_members(set.range_priors.beta_m, {}), none);
-  EXPECT_EQ(same_members(set.range_priors.gamma, {}), none);
+  for (const model::PairTerm& term : model::kPairTerms)
+    EXPECT_EQ(same_members(set.range_priors.*term.prior, {}), none);
   EXPECT_EQ(same_members(set.sensors, {}), none);
   EXPECT_EQ(same_members(set.surveyed_anchors.back(), {}), none);
   EXPECT_EQ(same_members(set.tags.back(), {}), none);

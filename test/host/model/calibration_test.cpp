@@ -28,9 +28,11 @@ TEST(SurveyedCalibration, HasSurveyedPositionsAndPriorBiases) {
     EXPECT_EQ(anchor.pairs[1].tag_id, 2);
     EXPECT_EQ(anchor.pairs[1].beta_m, 0.2);
     EXPECT_EQ(anchor.pairs[1].gamma, 1.01);
-    Eigen::VectorXd variances(7);
+    Eigen::Matrix<double, 7, 1> variances;
     variances << 0.0004, 0.0004, 0.0004, 0.09, 0.09, 0.000025, 0.000025;
-    EXPECT_LT((anchor.covariance - Eigen::MatrixXd(variances.asDiagonal())).cwiseAbs().maxCoeff(), 1e-15);
+    EXPECT_LT((anchor.covariance.diagonal().head<7>() - variances).cwiseAbs().maxCoeff(), 1e-15);
+    EXPECT_TRUE(anchor.covariance.isDiagonal(0.0));
+    EXPECT_EQ(values_of(anchor.pairs[1]), means_of(priors));
   }
 }
 
