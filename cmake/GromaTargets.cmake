@@ -25,6 +25,9 @@ target_compile_options(
     -ffp-contract=off
     -fno-math-errno
 )
+# Eigen sums large products in blocks as long as the processor's caches allow, so that the last bits of an estimate
+# would depend on the machine. Without CPUID it assumes the same caches everywhere.
+target_compile_definitions(groma_build_options INTERFACE EIGEN_NO_CPUID)
 # Only the release build has warnings: instrumentation causes false ones.
 if(GROMA_SANITIZE)
   target_compile_options(
