@@ -88,7 +88,10 @@ class NativePlatform {
   void delay_us(std::uint32_t duration_us) noexcept { now += SimTime{duration_us} * kUnitsPerMicrosecond; }
   std::uint64_t now_us() noexcept { return local_us(now) - boot_us_; }
   std::uint64_t radio_interrupt_us() noexcept { return local_us(interrupt_at) - boot_us_; }
+  const char* configure_link(const groma_Config&) noexcept { return ""; }  // it has one link
   bool link_write(std::span<const std::uint8_t> frame) noexcept { return uart_out.write(now, frame); }
+  bool link_answer(std::span<const std::uint8_t> frame) noexcept { return link_write(frame); }
+  void count_link(groma_Counters&) noexcept {}
   bool store_config(std::span<const std::uint8_t> blob) noexcept {
     const SimTime busy_before = flash_.busy_time();
     const bool stored = config_.store(blob);

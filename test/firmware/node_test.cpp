@@ -69,6 +69,10 @@ struct FakeHost {
     sent.emplace_back(frame.begin(), frame.end());
     return true;
   }
+  // One link alone.
+  const char* configure_link(const groma_Config&) noexcept { return ""; }
+  bool link_answer(std::span<const std::uint8_t> frame) noexcept { return link_write(frame); }
+  void count_link(groma_Counters&) noexcept {}
   virtual bool store_config(std::span<const std::uint8_t> blob) noexcept {
     sent_before_store = sent.size();
     pass(90'000);
@@ -524,6 +528,11 @@ TEST_F(NodeTest, AConfigurationIsStoredReadBackAndInForceAfterApply) {
   EXPECT_EQ(last_reply().config.id, 2U);
 }
 
+groma_Config without_key(groma_Config config) {
+  config.network_key = {};
+  return config;
+}
+
 groma_Config keyed_config(std::uint8_t first) {
   groma_Config config = good_config();
   config.network_key.size = 16;
@@ -710,12 +719,17 @@ TEST_P(AnyRadio, AnInvalidStoredConfigurationIsIgnored) {
 }
 
 TEST_F(NodeTest, FactoryResetForgetsAndFallsSilent) {
-  store(good_config());
+  groma_Config config = good_config();
+  config.transmit_antenna_delay_dtu = 16000;
+  config.preamble = groma_Preamble_PREAMBLE_256;
+  store(config);
   node.start();
   command(groma_HostToNode_factory_reset_tag);
   EXPECT_EQ(last_reply().result, groma_Result_RESULT_OK);
   EXPECT_TRUE(platform.stored.empty());
   EXPECT_EQ(platform.chip.written(0x0D, 0), 0x40U);  // off
+  EXPECT_EQ(platform.chip.written(0x18, 0), 16436U) << "the radio keeps nothing of it either";
+  EXPECT_EQ(platform.chip.written(0x27, 0x08), 0x313B006BU);
   EXPECT_EQ(platform.shown.back(), Indicator::kUnconfigured);
   EXPECT_EQ(messages(groma_NodeToHost_hello_tag).back().body.hello.role, groma_Role_ROLE_UNCONFIGURED);
 }
@@ -1139,6 +1153,26 @@ TEST_F(LoneTagTest, ReportsOnceThatItIsLateForTheSchedule) {
   EXPECT_EQ(reports(), 1);
 }
 
+// A listening that is late, but not too late, begins at once.
+TEST_F(LoneTagTest, EachLateListeningCountsOnce) {
+  node.start();
+  run_superframes(20);
+  platform.chip.on_write = [this](const Transfer& t) {
+    if (t.file != 0x0D || (t.word() & 0x300) != 0x300) return;
+    const std::uint64_t start = platform.chip.written(0x0A, 0);
+    if (start > beacon_at(next) || start + 2 * kLater < beacon_at(next)) return;
+    advance_to(start + 20 * kTicksPerUs);
+    platform.chip.status |= 1U << 27;
+  };
+  run_superframes(20);
+  platform.chip.on_write = nullptr;
+  EXPECT_GE(node.counters().late_receives, 3U);
+  command(groma_HostToNode_get_slack_tag);
+  const groma_Slack slack = messages(groma_NodeToHost_slack_tag).at(0).body.slack;
+  ASSERT_EQ(slack.slots[0].kind, groma_SlotKind_SLOT_BEACON);
+  EXPECT_EQ(slack.slots[0].counts[0], node.counters().late_receives);
+}
+
 TEST_F(LoneTagTest, KeepsItsPlaceOverARadioRecovery) {
   node.start();
   run_superframes(20);
@@ -1200,8 +1234,7 @@ struct TwoLinks : FakePlatform {
   }
   void count_link(groma_Counters& counters) noexcept { counters.can_frames_sent = 7; }
 };
-static_assert(ChoosesLink<TwoLinks>);
-static_assert(!ChoosesLink<FakePlatform>);
+static_assert(Platform<TwoLinks>);
 
 class TwoLinksTest : public ::testing::Test {
  protected:
@@ -1308,10 +1341,12 @@ TEST(SlotReport, CarriesEachRangeWithItsTimeAndStatus) {
   exchange.legs[2].closing_state = mac::Leg::Closing::kStale;
   groma_SlotReport report = groma_SlotReport_init_zero;
   groma_Counters counters = groma_Counters_init_zero;
+  groma_Config config = groma_Config_init_zero;
+  config.report_raw_stamps = true;
   const ranging::ClockTime now = exchange.poll_sent + ranging::Ticks(1'500'000'000);
   begin_slot_report(report, exchange, now);
   for (std::size_t i = 0; i < exchange.count; ++i) {
-    fill_range(report, i, exchange, now, {.raw_stamps = true}, counters);
+    fill_range(report, i, exchange, now, config, std::nullopt, counters);
   }
   EXPECT_EQ(report.superframe, 1234U);
   EXPECT_EQ(report.slot, 2U);
@@ -1352,7 +1387,7 @@ TEST(MessageEncoder, AReplyWithAStoredConfigurationMatchesNanopbsEncoding) {
   std::strcpy(reply.text, "as it is");
   for (const bool on_trial : {false, true}) {
     std::vector<std::uint8_t> stored(kMaxStoredBytes);
-    stored.resize(on_trial ? encode_on_trial(config, before, stored) : encode_config(config, stored));
+    stored.resize(encode_config(config, stored, on_trial ? &before : nullptr));
     const auto visible = shown(stored);
     std::vector<std::uint8_t> expected(kMaxConfigBytes);
     expected.resize(encode_config(without_key(config), expected));

@@ -7,7 +7,8 @@ REGISTERS = "firmware/core/dw1000/registers.hpp"
 STORE = "firmware/core/storage/record_store.hpp"
 AIR_LINK = "firmware/core/node/air_link.cpp"
 AIR_LINK_TEST = ["test/firmware/air_link_test.cpp"]
-NODE = "firmware/core/node/node.hpp"
+PARTICIPATION = "firmware/core/node/participation.hpp"
+CONFIGURATION = "firmware/core/node/configuration.hpp"
 EXECUTOR = "firmware/core/node/radio_executor.hpp"
 RADIO_CLOCK = "firmware/core/node/radio_clock.hpp"
 DRIVER_TEST = ["test/firmware/driver_test.cpp"]
@@ -36,6 +37,7 @@ SEGMENT_TEST = ["test/proto/can_segment_test.cpp"]
 COMPACT_TEST = ["test/proto/compact_report_test.cpp"]
 CORRECTIONS_TEST = ["test/firmware/corrections_test.cpp"]
 TRUTH_TEST = ["test/sim/truth_test.cpp"]
+REACH_TEST = ["test/sim/reach_test.cpp"]
 DECODER_TEST = ["test/host/link/report_decoder_test.cpp"]
 CLOCK_TEST = ["test/host/clock/time_mapper_test.cpp"]
 EMULATOR = "firmware/sim/emulator/"
@@ -130,7 +132,7 @@ MUTATIONS = [
     ("driver: sensor reading without a conversion", DRIVER, "    write(spi_, kConverterOn);\n", "", DRIVER_TEST),
     ("driver: sensors not biased", DRIVER, "    write(spi_, kSensorBias);\n", "", DRIVER_TEST),
     ("corrections: wrong sign of the power bias", "firmware/core/node/messages.cpp", "flight = flight - ranging::power_bias", "flight = flight + ranging::power_bias", TRUTH_TEST),
-    ("corrections: wrong sign of the temperature drift", "firmware/core/node/messages.cpp", "flight - ranging::temperature_drift(ranging.ambient->temperature_cdegc) -", "flight + ranging::temperature_drift(ranging.ambient->temperature_cdegc) +", TRUTH_TEST),
+    ("corrections: wrong sign of the temperature drift", "firmware/core/node/messages.cpp", "flight - ranging::temperature_drift(ambient->temperature_cdegc) -", "flight + ranging::temperature_drift(ambient->temperature_cdegc) +", TRUTH_TEST),
     ("corrections: wrong reference temperature", "firmware/core/ranging/corrections.cpp", "std::int64_t{temperature_cdegc} - kReferenceTemperature_cdegc", "std::int64_t{temperature_cdegc} - 2'500", CORRECTIONS_TEST),
     ("corrections: wrong start of the power table", "firmware/core/ranging/corrections.cpp", "kWeakest_cdbm = -9'300", "kWeakest_cdbm = -9'100", CORRECTIONS_TEST),
     ("network time: wrong sign of the clock difference", "firmware/core/mac/clock_tracker.cpp", "return reference_master_ + elapsed - Ticks(", "return reference_master_ + elapsed + Ticks(", TRUTH_TEST),
@@ -184,19 +186,21 @@ MUTATIONS = [
     ("store: erase not checked", STORE, "if (!flash_.erase(to) || !blank(start, start + kPageBytes)) return false;", "(void)flash_.erase(to);", STORAGE_TEST),
     ("counter: block used before it is reserved", "firmware/core/storage/counter.hpp", "    if (!records_.store(Key::kCounter, bytes)) return false;\n", "    (void)records_.store(Key::kCounter, bytes);\n", STORAGE_TEST),
     ("counter: previous block used again", "firmware/core/storage/counter.hpp", "    const std::uint64_t start = end;\n", "    const std::uint64_t start = end < kBlock ? end : end - kBlock;\n", STORAGE_TEST),
-    ("node: a radio recovery ends the loan of a slot", NODE, "    if (radio_.restart()) {\n", "    lent_until_us_.reset();\n    if (radio_.restart()) {\n", NODE_TEST),
+    ("node: a radio recovery ends the loan of a slot", PARTICIPATION, "    if (radio_.restart()) {\n", "    shared_.lent_until_us.reset();\n    if (radio_.restart()) {\n", NODE_TEST),
     ("node: late operations not reported", "firmware/core/node/reporter.hpp", "const bool many = late - late_before_ > kMany;", "const bool many = false;", NODE_TEST),
     ("node: one lost event resets the radio", EXECUTOR, "failures_ == 1 && radio_.restart(delay())", "failures_ == 0 && radio_.restart(delay())", NODE_TEST),
-    ("node: a lost event takes the machine along", NODE, "started again\");\n      return resume();\n", "started again\");\n      return join();\n", NODE_TEST),
+    ("node: a lost event takes the machine along", PARTICIPATION, "started again\");\n      return resume();\n", "started again\");\n      return join();\n", NODE_TEST),
     ("node: a counter that restarted is not noticed", RADIO_CLOCK, "return apart < kMostApart && -apart < kMostApart;", "return true;", NODE_TEST),
-    ("node: radio on while flash is written", NODE, "    leave();\n    return stored_.keep(config, before);\n", "    return stored_.keep(config, before);\n", NODE_TEST),
-    ("node: a master restarts its session after a write", NODE, "if (machine_.station() == nullptr || !radio_.is_up()) return join();", "return join();", NODE_TEST),
+    ("node: radio on while flash is written", CONFIGURATION, "    network_.leave();\n", "", NODE_TEST),
+    ("node: a trial begins only when the node has joined", CONFIGURATION, "    begin_round(has_previous() && trial_s != 0);\n    put_in_force(stored);\n", "    put_in_force(stored);\n    begin_round(has_previous() && trial_s != 0);\n", REACH_TEST),
+    ("node: a late listening counts twice", EXECUTOR, "    return radio_.receive_now(", "    slack_.add(action.slot, -1);\n    return radio_.receive_now(", NODE_TEST),
+    ("node: a master restarts its session after a write", PARTICIPATION, "if (machine_.station() == nullptr) return join();", "return join();", NODE_TEST),
     ("air: repeated command executed again", AIR_LINK, "  if (idle_ >= kForgotten) return false;\n", "  if (idle_ < kForgotten) return false;\n", AIR_LINK_TEST),
     ("air: no relaying", AIR_LINK, "data.hops_left == 0 ||", "data.hops_left != 9 ||", AIR_LINK_TEST),
     ("air: answer to another command accepted", AIR_LINK, "phase_ == Phase::kIdle || data.origin != peer_ || data.message != message_) return;", "phase_ == Phase::kIdle || data.origin != peer_) return;", AIR_LINK_TEST),
-    ("node: configuration not read back", "firmware/core/node/stored_config.hpp", "return platform_.load_config(blob_) == size && wire::crc32(std::span(blob_).first(size)) == check;", "return check != 0 || size != 0;", NODE_TEST),
-    ("node: proof of life without an interrupt", NODE, "handle_event(platform_.now_us())) return;\n", "handle_event(platform_.now_us())) return prove_life();\n", NODE_TEST),
-    ("node: proof of life for each slot", NODE, "    if (machine_.in_step() && machine_.superframe() == proven_superframe_) return;\n", "", NODE_TEST),
+    ("node: configuration not read back", CONFIGURATION, "shared_.platform.load_config(blob_) == blob.size() && wire::crc32(blob) == check;", "(check != 0 || !blob.empty());", NODE_TEST),
+    ("node: proof of life without an interrupt", PARTICIPATION, "handle_event(shared_.platform.now_us())) return;\n", "handle_event(shared_.platform.now_us())) return shared_.platform.proof_of_life();\n", NODE_TEST),
+    ("node: proof of life for each slot", PARTICIPATION, "    if (!machine_.in_step() || machine_.superframe() != proven_superframe_) {\n", "    {\n", NODE_TEST),
     ("CAN register: wrong address of the data bit timing", CAN_REGISTERS, "Dbtcfg       = Register<0x008>", "Dbtcfg       = Register<0x004>", CAN_TEST),
     ("CAN register: wrong address of the delay compensation", CAN_REGISTERS, "Tdc          = Register<0x00C>", "Tdc          = Register<0x010>", CAN_TEST),
     ("CAN register: wrong address of the filter mask", CAN_REGISTERS, "Mask0        = Register<0x1F4>", "Mask0        = Register<0x1FC>", CAN_TEST),

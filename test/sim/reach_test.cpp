@@ -265,6 +265,22 @@ TEST(Reach, AConfigurationThatCutsTheNodeOffIsRevertedToThePreviousOne) {
   }
 }
 
+// Other nodes may still have to get their schedule over the older network.
+TEST(Reach, ABackUpOnTrialLeavesTheOlderNetworkAlone) {
+  Reach reach({.anchors = 3});
+  const groma_Config old = reach.bench.config_of(102, groma_Role_ROLE_ANCHOR);
+  groma_Config newer = old;
+  ++newer.schedule.epoch;
+  ASSERT_EQ(reach.write(102, newer).result, groma_Result_RESULT_OK);
+  ASSERT_EQ(reach.apply(102, 10), groma_Result_RESULT_OK);
+  reach.run(5.0);
+  EXPECT_TRUE(reach.hello(103)) << "over the older network";
+  reach.run(10.0);
+  const auto hello = reach.hello(102);
+  ASSERT_TRUE(hello);
+  EXPECT_EQ(hello->config_hash, node::config_hash_of(old));
+}
+
 // An anchor that only the master hears: reached through the tag and the master.
 TEST(Reach, TwoHopsAwayATrialSucceedsOrFailsAsInDirectReach) {
   for (const bool keyed : {false, true}) {

@@ -21,6 +21,7 @@
 #include "firmware/core/mac/superframe.hpp"
 #include "firmware/core/node/config.hpp"
 #include "firmware/core/ranging/device_time.hpp"
+#include "firmware/core/security/block_cipher.hpp"
 #include "firmware/sim/native_node.hpp"
 #include "firmware/sim/network.hpp"
 #include "groma.pb.h"

@@ -41,7 +41,6 @@ class Station {
   [[nodiscard]] Step on_late(ClockTime now) noexcept;
   [[nodiscard]] Step on_received(const Reception& reception) noexcept;
   [[nodiscard]] Step on_timeout(ClockTime now) noexcept;
-  [[nodiscard]] Step on_error(ClockTime now) noexcept { return on_timeout(now); }
   // Call after the radio was stopped and restarted: continues with the next action, with the time of the
   // clock filter. A master that was away for a while listens before it leads again.
   [[nodiscard]] Step resume(ClockTime now) noexcept;

@@ -1,10 +1,10 @@
 // Inputs and outputs of the tag's and the anchor's state machines.
 //
 // Each event returns a Step: the radio's next action, and an exchange if one is complete. Each action except
-// kNone leads to exactly one event: on_transmitted() or on_late() for a transmission; on_received(),
-// on_timeout() or on_error() for a reception. A reception that could not be armed in time starts at once
-// instead, or counts as a time-out if its end has passed. If the radio was stopped, call resume() instead of
-// the event.
+// kNone leads to exactly one event: on_transmitted() or on_late() for a transmission; on_received() for a
+// reception, or on_timeout() if it brought no frame. A reception that could not be armed in time starts at
+// once instead, or counts as a time-out if its end has passed. If the radio was stopped, call resume()
+// instead of the event.
 //
 // The caller also calls three functions while the radio or its bus is busy, so that MICs are computed and
 // verified then: begin_verify(frame) when a frame's bytes have been read, before on_received() with them,

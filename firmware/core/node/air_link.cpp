@@ -34,7 +34,6 @@ void AirLink::start(std::uint16_t id, bool passes_on, std::uint32_t seed) noexce
   id_ = id;
   passes_on_ = passes_on;
   passing_ = 0;
-  leading_ = false;
 }
 
 // xorshift (Marsaglia 2003).
@@ -87,10 +86,6 @@ void AirLink::append(std::size_t size) noexcept {
   size_ = static_cast<std::uint16_t>(size_ + kLengthBytes + size);
 }
 
-void AirLink::send_answer() noexcept {
-  begin_sending(Phase::kAnswering);
-}
-
 std::optional<std::span<const std::uint8_t>> AirLink::next_message(
     std::span<const std::uint8_t>& answer) noexcept {
   if (answer.size() < kLengthBytes) return std::nullopt;
@@ -116,40 +111,31 @@ void AirLink::begin_sending(Phase phase) noexcept {
 
 // ---- to the air -----------------------------------------------------------------------------------------
 
-std::optional<mac::ControlChannel::Outgoing> AirLink::open_slot(std::uint32_t /*number*/) noexcept {
-  const auto data = next();
-  if (!data) return std::nullopt;
-  return Outgoing{.destination = mac::kBroadcast, .body = *data};
-}
-
 std::optional<mac::ControlChannel::Outgoing> AirLink::own_turn(std::uint32_t /*number*/) noexcept {
   if (passing_ == 0) return std::nullopt;
   --passing_;
-  return Outgoing{.destination = mac::kBroadcast, .body = passed_};
+  return Outgoing{.body = passed_};
 }
 
-std::optional<Data> AirLink::next() noexcept {
+std::optional<mac::ControlChannel::Outgoing> AirLink::open_slot(std::uint32_t /*number*/) noexcept {
   silent_s_ = 0;
   if (idle_ < kForgotten) ++idle_;
   if (wait_ > 0) --wait_;
   if (passing_wait_ > 0) --passing_wait_;
   // Leave slots free for nodes that join and for other messages.
   if (random() % 4 == 0) return std::nullopt;
-  if (std::exchange(acknowledge_, false)) return acknowledgement();
+  if (std::exchange(acknowledge_, false)) return Outgoing{.body = acknowledgement()};
   if (passing_ != 0 && passing_wait_ == 0) {
     passing_ = 0;
-    return passed_;
+    return Outgoing{.body = passed_};
   }
   if (wait_ > 0) return std::nullopt;
-  if (phase_ == Phase::kAwaiting) {
-    if (!try_again()) return std::nullopt;
-    return acknowledgement();
-  }
+  if (phase_ == Phase::kAwaiting && try_again()) return Outgoing{.body = acknowledgement()};
   if (phase_ == Phase::kAsking || phase_ == Phase::kAnswering) return next_fragment();
   return std::nullopt;
 }
 
-std::optional<Data> AirLink::next_fragment() noexcept {
+std::optional<mac::ControlChannel::Outgoing> AirLink::next_fragment() noexcept {
   if (std::exchange(round_over_, false)) {
     if (!try_again()) return std::nullopt;
     next_ = last_missing();
@@ -161,7 +147,7 @@ std::optional<Data> AirLink::next_fragment() noexcept {
   next_ = static_cast<std::uint8_t>(index + 1U);
   // A frame with hops left needs one more open slot if the master is one of the relays.
   wait_ = round_over_ ? reply_wait() : static_cast<std::uint8_t>(hops_ > 0 ? 2 : 0);
-  return fragment(index, round_over_);
+  return Outgoing{.body = fragment(index, round_over_)};
 }
 
 bool AirLink::try_again() noexcept {
@@ -220,8 +206,7 @@ std::uint8_t AirLink::last_missing() const noexcept {
 void AirLink::on_control(const mac::Frame& frame, std::uint32_t /*number*/, bool leading) noexcept {
   const auto* data = std::get_if<Data>(&frame.body);
   if (data == nullptr || id_ == mac::kNobody || data->origin == id_) return;
-  leading_ = leading;
-  if (data->target != id_) return pass_on(*data);
+  if (data->target != id_) return pass_on(*data, leading);
   const bool direct = frame.source == data->origin;
   if (data->acknowledgement) {
     take_acknowledgement(*data);
@@ -233,7 +218,7 @@ void AirLink::on_control(const mac::Frame& frame, std::uint32_t /*number*/, bool
   if (direct && data->origin == peer_) hops_ = 0;
 }
 
-void AirLink::pass_on(const Data& data) noexcept {
+void AirLink::pass_on(const Data& data, bool leading) noexcept {
   if (!passes_on_ || data.hops_left == 0 || passing_ == kPassings) return;
   const std::uint32_t key = key_of(data);
   if (std::find(seen_.begin(), seen_.end(), key) != seen_.end()) return;
@@ -243,7 +228,7 @@ void AirLink::pass_on(const Data& data) noexcept {
   passing_ = kPassings;
   // The master relays in an open slot soon. Back-ups relay in their own turns, and in an open slot only if
   // they get none.
-  passing_wait_ = leading_ ? 1 : static_cast<std::uint8_t>(3 + random() % 4);
+  passing_wait_ = leading ? 1 : static_cast<std::uint8_t>(3 + random() % 4);
 }
 
 bool AirLink::stale(const Data& data) const noexcept {

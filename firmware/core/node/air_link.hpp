@@ -75,7 +75,7 @@ class AirLink final : public mac::ControlChannel {
   [[nodiscard]] std::span<std::uint8_t> room() noexcept;
   // Adds the first `size` bytes of room() as a message.
   void append(std::size_t size) noexcept;
-  void send_answer() noexcept;
+  void send_answer() noexcept { begin_sending(Phase::kAnswering); }
   // Removes the next message from `answer` and returns it; nothing at the end.
   [[nodiscard]] static std::optional<std::span<const std::uint8_t>> next_message(
       std::span<const std::uint8_t>& answer) noexcept;
@@ -85,13 +85,9 @@ class AirLink final : public mac::ControlChannel {
   [[nodiscard]] std::optional<Outgoing> open_slot(std::uint32_t number) noexcept override;
   [[nodiscard]] std::optional<Outgoing> own_turn(std::uint32_t number) noexcept override;
   [[nodiscard]] bool wants_slot() const noexcept override {
-    return acknowledge_ || passing_ != 0 || phase_ == Phase::kAsking || phase_ == Phase::kAwaiting ||
-           phase_ == Phase::kAnswering;
+    return acknowledge_ || passing_ != 0 || asking() || phase_ == Phase::kAnswering;
   }
-  void on_sent(std::uint32_t /*number*/, bool /*sent*/) noexcept override {}
   void on_control(const mac::Frame& frame, std::uint32_t number, bool leading) noexcept override;
-  void on_beacon(const mac::Frame& /*frame*/, const mac::Beacon& /*beacon*/) noexcept override {}
-  void on_beacon_out(mac::Beacon& /*beacon*/, bool /*leading*/) noexcept override {}
 
  private:
   enum class Phase : std::uint8_t {
@@ -109,8 +105,7 @@ class AirLink final : public mac::ControlChannel {
     std::uint8_t message = 0;
   };
 
-  [[nodiscard]] std::optional<mac::Data> next() noexcept;
-  [[nodiscard]] std::optional<mac::Data> next_fragment() noexcept;
+  [[nodiscard]] std::optional<Outgoing> next_fragment() noexcept;
   [[nodiscard]] mac::Data fragment(std::uint8_t index, bool asks) noexcept;
   [[nodiscard]] mac::Data acknowledgement() noexcept;
   void take_command(const mac::Data& data, bool direct) noexcept;
@@ -122,7 +117,7 @@ class AirLink final : public mac::ControlChannel {
   void begin_sending(Phase phase) noexcept;
   // Returns false if the number of tries is used up.
   bool try_again() noexcept;
-  void pass_on(const mac::Data& data) noexcept;
+  void pass_on(const mac::Data& data, bool leading) noexcept;
 
   [[nodiscard]] bool asked() const noexcept { return phase_ >= Phase::kTaking; }
   [[nodiscard]] std::uint8_t all() const noexcept {
@@ -157,7 +152,6 @@ class AirLink final : public mac::ControlChannel {
   std::array<Heard, 2> heard_{};  // last commands of two origins
 
   bool passes_on_ = false;
-  bool leading_ = false;
   std::uint8_t passing_ = 0;  // remaining transmissions
   std::uint8_t passing_wait_ = 0;
   std::uint8_t next_seen_ = 0;

@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <array>
+#include <utility>
 
 #include "firmware/core/mac/wire_enum.hpp"
 #include "firmware/core/mcp2518fd/bit_timing.hpp"
@@ -72,23 +73,20 @@ const char* fault_of(const groma_Config& config) noexcept {
   return "";
 }
 
-std::size_t encode_config(const groma_Config& config, std::span<std::uint8_t> out) noexcept {
-  pb_ostream_t stream = pb_ostream_from_buffer(out.data(), out.size());
-  return pb_encode(&stream, groma_Config_fields, &config) ? stream.bytes_written : 0;
-}
-
-bool decode_config(std::span<const std::uint8_t> bytes, groma_Config& out) noexcept {
-  pb_istream_t stream = pb_istream_from_buffer(bytes.data(), bytes.size());
-  return pb_decode(&stream, groma_Config_fields, &out);
-}
-
-std::size_t encode_on_trial(const groma_Config& config, const groma_Config& before,
-                            std::span<std::uint8_t> out) noexcept {
+std::size_t encode_config(const groma_Config& config, std::span<std::uint8_t> out,
+                          const groma_Config* before) noexcept {
   pb_ostream_t stream = pb_ostream_from_buffer(out.data(), out.size());
   const bool fits = pb_encode(&stream, groma_Config_fields, &config) &&
-                    pb_encode_tag(&stream, PB_WT_STRING, kBeforeTag) &&
-                    pb_encode_submessage(&stream, groma_Config_fields, &before);
+                    (before == nullptr || (pb_encode_tag(&stream, PB_WT_STRING, kBeforeTag) &&
+                                           pb_encode_submessage(&stream, groma_Config_fields, before)));
   return fits ? stream.bytes_written : 0;
+}
+
+std::optional<groma_Config> decode_config(std::span<const std::uint8_t> bytes) noexcept {
+  std::optional<groma_Config> config(std::in_place);
+  pb_istream_t stream = pb_istream_from_buffer(bytes.data(), bytes.size());
+  if (!pb_decode(&stream, groma_Config_fields, &*config)) config.reset();
+  return config;
 }
 
 std::span<const std::uint8_t> before_trial(std::span<const std::uint8_t> stored) noexcept {
@@ -132,28 +130,13 @@ radio::Settings radio_settings(const groma_Config& config) noexcept {
           .receive_antenna_delay_dtu = unless_zero<std::uint16_t>(config.receive_antenna_delay_dtu)};
 }
 
-mac::Site site_of(const groma_Config& config, const radio::Phy& phy,
-                  ranging::Ticks transmit_antenna_delay) noexcept {
-  return {.id = static_cast<std::uint16_t>(config.id),
-          .network_id = static_cast<std::uint16_t>(config.network_id),
-          .phy = phy,
-          .schedule = &config.schedule,
-          .transmit_antenna_delay = transmit_antenna_delay};
-}
-
 std::uint32_t schedule_hash_of(const groma_Config& config) noexcept {
   return mac::schedule_hash(config.schedule, config.network_id, preamble_of(config.preamble));
 }
 
-groma_Config without_key(const groma_Config& config) noexcept {
-  groma_Config shown = config;
-  shown.network_key = {};
-  return shown;
-}
-
 std::uint32_t config_hash_of(const groma_Config& config) noexcept {
   std::array<std::uint8_t, kMaxConfigBytes> bytes{};
-  return wire::crc32(std::span(bytes).first(encode_config(without_key(config), bytes)));
+  return wire::crc32(shown(std::span(bytes).first(encode_config(config, bytes))));
 }
 
 }  // namespace groma::node

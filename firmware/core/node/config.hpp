@@ -5,9 +5,7 @@
 #include <cstdint>
 #include <optional>
 #include <span>
-#include <utility>
 
-#include "firmware/core/mac/site.hpp"
 #include "firmware/core/mac/superframe.hpp"
 #include "firmware/core/radio/radio.hpp"
 #include "firmware/core/storage/record_store.hpp"
@@ -24,36 +22,22 @@ inline constexpr std::size_t kMaxStoredBytes = storage::kMaxRecordBytes;
 // characters, empty if there is none.
 [[nodiscard]] const char* fault_of(const groma_Config& config) noexcept;
 
-// Encodes to the start of `out` and returns the size; 0: it does not fit.
-[[nodiscard]] std::size_t encode_config(const groma_Config& config, std::span<std::uint8_t> out) noexcept;
-// Returns false if the bytes are not a configuration. Skips a stored configuration before it.
-[[nodiscard]] bool decode_config(std::span<const std::uint8_t> bytes, groma_Config& out) noexcept;
-[[nodiscard]] inline std::optional<groma_Config> decode_config(std::span<const std::uint8_t> bytes) noexcept {
-  std::optional<groma_Config> config(std::in_place);
-  if (!decode_config(bytes, *config)) config.reset();
-  return config;
-}
-
-// The stored form of a configuration on trial: the configuration, followed by the one to revert to, in a
-// field that Config does not have. Returns 0 if they do not fit.
-[[nodiscard]] std::size_t encode_on_trial(const groma_Config& config, const groma_Config& before,
-                                          std::span<std::uint8_t> out) noexcept;
+// Encodes to the start of `out` and returns the size; 0: it does not fit. `before`: for a configuration on
+// trial, the one to revert to, which follows in a field that Config does not have.
+[[nodiscard]] std::size_t encode_config(const groma_Config& config, std::span<std::uint8_t> out,
+                                        const groma_Config* before = nullptr) noexcept;
+// Returns nothing if the bytes are not a configuration. Skips the one before a trial.
+[[nodiscard]] std::optional<groma_Config> decode_config(std::span<const std::uint8_t> bytes) noexcept;
 // The configuration before the trial, encoded; empty if there is none.
 [[nodiscard]] std::span<const std::uint8_t> before_trial(std::span<const std::uint8_t> stored) noexcept;
-// Removes the network key and the configuration before the trial from a stored configuration, in place. The
-// bytes that remain at its start are the encoded form of without_key().
+// Removes the network key, which no node reveals, and the configuration before the trial from a stored
+// configuration, in place. The bytes that remain are at its start; the key's hash is among them.
 [[nodiscard]] std::span<const std::uint8_t> shown(std::span<std::uint8_t> stored) noexcept;
 
 // A delay or a power of 0 selects the chip's own: see groma.proto.
 [[nodiscard]] radio::Settings radio_settings(const groma_Config& config) noexcept;
 
-// `config` must have no fault and outlive the site. `phy`, `transmit_antenna_delay`: of the radio, which was
-// brought up with radio_settings().
-[[nodiscard]] mac::Site site_of(const groma_Config& config, const radio::Phy& phy,
-                                ranging::Ticks transmit_antenna_delay) noexcept;
 [[nodiscard]] std::uint32_t schedule_hash_of(const groma_Config& config) noexcept;
-// The configuration without the network key, which no node reveals; the key's hash remains.
-[[nodiscard]] groma_Config without_key(const groma_Config& config) noexcept;
 // CRC-32 of the encoded configuration without its key.
 [[nodiscard]] std::uint32_t config_hash_of(const groma_Config& config) noexcept;
 

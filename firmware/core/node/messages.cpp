@@ -9,7 +9,6 @@
 #include "firmware/core/node/config.hpp"
 #include "firmware/core/ranging/corrections.hpp"
 #include "proto/compact_report.hpp"
-#include "proto/slot_report.hpp"
 
 namespace groma::node {
 namespace {
@@ -35,59 +34,26 @@ void set(bool& has, T& field, std::optional<std::int32_t> value) noexcept {
 }
 
 // Applies the corrections that are requested and for which the data is known; sets `flags` accordingly.
-ranging::FlightTime corrected(ranging::FlightTime flight, const mac::Leg& leg, const Ranging& ranging,
+ranging::FlightTime corrected(ranging::FlightTime flight, const mac::Leg& leg, const groma_Config& config,
+                              const std::optional<radio::Ambient>& ambient,
                               std::optional<std::int32_t> receive_power_cdbm, std::uint8_t& flags) noexcept {
-  if (ranging.correct_temperature && ranging.ambient) {
+  if (config.correct_temperature && ambient) {
     if (leg.health.temperature_c != mac::Health::kUnknown) {
-      flight = flight - ranging::temperature_drift(ranging.ambient->temperature_cdegc) -
+      flight = flight - ranging::temperature_drift(ambient->temperature_cdegc) -
                ranging::temperature_drift(leg.health.temperature_c * 100);
       flags |= groma_RangeFlag_RANGE_FLAG_TEMPERATURE;
     }
     if (leg.health.supply_64ths_v != 0) {
-      flight = flight - ranging::supply_drift(ranging.ambient->supply_mv) -
+      flight = flight - ranging::supply_drift(ambient->supply_mv) -
                ranging::supply_drift(leg.health.supply_64ths_v * 1000 / 64);
       flags |= groma_RangeFlag_RANGE_FLAG_SUPPLY;
     }
   }
-  if (ranging.correct_power_bias && receive_power_cdbm) {
+  if (config.correct_power_bias && receive_power_cdbm) {
     flight = flight - ranging::power_bias(*receive_power_cdbm);
     flags |= groma_RangeFlag_RANGE_FLAG_POWER_BIAS;
   }
   return flight;
-}
-
-groma_Range range_of(const mac::Exchange& exchange, const mac::Leg& leg, ranging::ClockTime device_time,
-                     const Ranging& ranging) noexcept {
-  const mac::Range range = mac::evaluate(exchange, leg);
-  groma_Range out = groma_Range_init_zero;
-  out.anchor_id = leg.anchor;
-  out.status = static_cast<groma_RangeStatus>(range.status);
-  // Without a RESPONSE the instant is that of the POLL, so that the report has a time.
-  const ranging::ClockTime instant = leg.answered ? leg.received : exchange.poll_sent;
-  out.instant_offset_dtu = (instant - device_time).count();
-  std::optional<std::int32_t> receive_power_cdbm;
-  if (leg.answered) {
-    const radio::LinkQuality& link = leg.quality;
-    const auto first_path_power_cdbm = radio::power_cdbm(link.first_path_power);
-    receive_power_cdbm = radio::power_cdbm(link.receive_power);
-    set(out.has_first_path_power_cdbm, out.first_path_power_cdbm, first_path_power_cdbm);
-    set(out.has_receive_power_cdbm, out.receive_power_cdbm, receive_power_cdbm);
-    set(out.has_clock_offset_ppb, out.clock_offset_ppb, link.clock_offset_ppb);
-    out.noise = link.noise;
-    out.flags = static_cast<std::uint8_t>(
-        radio::line_of_sight(first_path_power_cdbm, receive_power_cdbm, link.peak_distance_64ths));
-  }
-  if (range.status != mac::RangeStatus::kOk) return out;
-  out.flags |= groma_RangeFlag_RANGE_FLAG_ANTENNA_DELAYS;
-  out.range_m = corrected(range.flight, leg, ranging, receive_power_cdbm, out.flags).distance_m();
-  out.has_raw = ranging.raw_stamps;
-  if (out.has_raw) {
-    out.raw = {.tag_round_dtu = static_cast<std::uint32_t>(ticks_of(range.intervals.tag_round)),
-               .anchor_reply_dtu = static_cast<std::uint32_t>(ticks_of(range.intervals.anchor_reply)),
-               .anchor_round_dtu = ticks_of(range.intervals.anchor_round),
-               .tag_reply_dtu = ticks_of(range.intervals.tag_reply)};
-  }
-  return out;
 }
 
 }  // namespace
@@ -107,10 +73,40 @@ void begin_slot_report(groma_SlotReport& report, const mac::Exchange& exchange,
 }
 
 void fill_range(groma_SlotReport& report, std::size_t index, const mac::Exchange& exchange,
-                ranging::ClockTime device_time, const Ranging& ranging, groma_Counters& counters) noexcept {
-  report.ranges[index] = range_of(exchange, exchange.legs[index], device_time, ranging);
-  const bool good = report.ranges[index].status == groma_RangeStatus_RANGE_OK;
+                ranging::ClockTime device_time, const groma_Config& config,
+                const std::optional<radio::Ambient>& ambient, groma_Counters& counters) noexcept {
+  const mac::Leg& leg = exchange.legs[index];
+  const mac::Range range = mac::evaluate(exchange, leg);
+  groma_Range& out = report.ranges[index];
+  out = groma_Range_init_zero;
+  out.anchor_id = leg.anchor;
+  out.status = static_cast<groma_RangeStatus>(range.status);
+  // Without a RESPONSE the instant is that of the POLL, so that the report has a time.
+  out.instant_offset_dtu = ((leg.answered ? leg.received : exchange.poll_sent) - device_time).count();
+  std::optional<std::int32_t> receive_power_cdbm;
+  if (leg.answered) {
+    const radio::LinkQuality& link = leg.quality;
+    const auto first_path_power_cdbm = radio::power_cdbm(link.first_path_power);
+    receive_power_cdbm = radio::power_cdbm(link.receive_power);
+    set(out.has_first_path_power_cdbm, out.first_path_power_cdbm, first_path_power_cdbm);
+    set(out.has_receive_power_cdbm, out.receive_power_cdbm, receive_power_cdbm);
+    set(out.has_clock_offset_ppb, out.clock_offset_ppb, link.clock_offset_ppb);
+    out.noise = link.noise;
+    out.flags = static_cast<std::uint8_t>(
+        radio::line_of_sight(first_path_power_cdbm, receive_power_cdbm, link.peak_distance_64ths));
+  }
+  const bool good = range.status == mac::RangeStatus::kOk;
   ++(good ? counters.ranges_completed : counters.ranges_lost);
+  if (!good) return;
+  out.flags |= groma_RangeFlag_RANGE_FLAG_ANTENNA_DELAYS;
+  out.range_m = corrected(range.flight, leg, config, ambient, receive_power_cdbm, out.flags).distance_m();
+  out.has_raw = config.report_raw_stamps;
+  if (out.has_raw) {
+    out.raw = {.tag_round_dtu = static_cast<std::uint32_t>(ticks_of(range.intervals.tag_round)),
+               .anchor_reply_dtu = static_cast<std::uint32_t>(ticks_of(range.intervals.anchor_reply)),
+               .anchor_round_dtu = ticks_of(range.intervals.anchor_round),
+               .tag_reply_dtu = ticks_of(range.intervals.tag_reply)};
+  }
 }
 
 mac::Health health_of(const radio::Ambient& ambient) noexcept {
@@ -197,9 +193,6 @@ std::size_t encode_message(const groma_NodeToHost& message, const ReplyConfig& c
 
 std::span<const std::uint8_t> MessageEncoder::encode(const groma_NodeToHost& message,
                                                      const ReplyConfig& config) noexcept {
-  if (message.which_body == groma_NodeToHost_slot_report_tag) {
-    return frame_of(wire::encode_slot_report(message.body.slot_report, encoded_));
-  }
   return frame_of(std::span(encoded_).first(encode_message(message, config, encoded_)));
 }
 

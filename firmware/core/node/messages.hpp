@@ -21,20 +21,14 @@ inline constexpr std::uint32_t kProtocolVersion = 1;
 // Truncates a text that does not fit.
 void copy_text(std::span<char> out, const char* text) noexcept;
 
-// Options for a tag's ranges and their report.
-struct Ranging {
-  bool raw_stamps = false;
-  bool correct_temperature = false;  // if both ends' temperature, or supply, is known
-  bool correct_power_bias = false;
-  std::optional<radio::Ambient> ambient{};  // of the tag's chip
-};
-
-// Fills a report of the exchange in steps: all fields except the ranges, then each range. Counts completed
-// and lost ranges in `counters`. `device_time` is now.
+// Fills a report of the exchange in steps: all fields except the ranges, then each range, corrected as
+// `config` says for what is known of both ends; `ambient`: of the tag's chip. Counts completed and lost
+// ranges in `counters`. `device_time` is now.
 void begin_slot_report(groma_SlotReport& report, const mac::Exchange& exchange,
                        ranging::ClockTime device_time) noexcept;
 void fill_range(groma_SlotReport& report, std::size_t index, const mac::Exchange& exchange,
-                ranging::ClockTime device_time, const Ranging& ranging, groma_Counters& counters) noexcept;
+                ranging::ClockTime device_time, const groma_Config& config,
+                const std::optional<radio::Ambient>& ambient, groma_Counters& counters) noexcept;
 
 // Converts to the units of a frame.
 [[nodiscard]] mac::Health health_of(const radio::Ambient& ambient) noexcept;
@@ -46,15 +40,6 @@ void make_compact(groma_NodeToHost& message) noexcept;
 void fill_hello(groma_Hello& hello, const Build& build, const std::optional<groma_Config>& config,
                 ResetReason reset_reason, const std::optional<Fault>& last_fault, const StackUse& stack,
                 const char* radio_error) noexcept;
-
-// The encoded configuration of a reply; nothing if the reply has none or contains it itself.
-using ReplyConfig = std::optional<std::span<const std::uint8_t>>;
-
-// Writes the message to the start of `out`, as nanopb does, but in less time: nanopb encodes nested messages
-// again to find their length, a schedule in a reply eight times; `config`, for a reply that does not contain
-// one, is therefore copied in encoded form. Returns the size, 0 if the message does not fit.
-[[nodiscard]] std::size_t encode_message(const groma_NodeToHost& message, const ReplyConfig& config,
-                                         std::span<std::uint8_t> out) noexcept;
 
 // Where a message goes: to the host unasked, or as the answer to a command.
 struct ReplyContext {
@@ -72,6 +57,28 @@ struct ReplyContext {
   [[nodiscard]] static ReplyContext air(std::uint32_t request_id) noexcept { return {Way::kAir, request_id}; }
   [[nodiscard]] bool by_air() const noexcept { return way == Way::kAir; }
 };
+
+// The encoded configuration of a reply; nothing if the reply has none or contains it itself.
+using ReplyConfig = std::optional<std::span<const std::uint8_t>>;
+
+// How a command ended.
+struct Outcome {
+  groma_Result result = groma_Result_RESULT_OK;
+  const char* text = "";  // at most 63 characters, empty if the result says all
+  ReplyConfig config{};
+};
+[[nodiscard]] inline Outcome invalid(const char* text) noexcept {
+  return {groma_Result_RESULT_INVALID, text};
+}
+[[nodiscard]] inline Outcome unsupported(const char* text) noexcept {
+  return {groma_Result_RESULT_UNSUPPORTED, text};
+}
+
+// Writes the message to the start of `out`, as nanopb does, but in less time: nanopb encodes nested messages
+// again to find their length, a schedule in a reply eight times; `config`, for a reply that does not contain
+// one, is therefore copied in encoded form. Returns the size, 0 if the message does not fit.
+[[nodiscard]] std::size_t encode_message(const groma_NodeToHost& message, const ReplyConfig& config,
+                                         std::span<std::uint8_t> out) noexcept;
 
 // Encodes and frames messages in its own buffers.
 class MessageEncoder {

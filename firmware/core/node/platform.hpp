@@ -48,15 +48,20 @@ struct Build {
   std::uint32_t git_hash = 0;
 };
 
-// The hardware under a node. All calls come from one context, that of the Node's caller.
+// The hardware under a node. All calls are noexcept and come from one context, that of the Node's caller.
 // - Radio: the radio's driver; spi(): the bus that it is constructed from; radio interrupts may come at any
 //   time during a transfer
 // - reset_radio(): pulls the radio's reset line low, releases it, and returns when the chip is ready for SPI
 // - delay_us(n): returns after at least n microseconds
 // - now_us(): microseconds since boot, 64 bits, monotonic; any drift
 // - radio_interrupt_us(): now_us() when the radio's interrupt line last rose, even if the processor was busy
-// then
+// - configure_link(config): brings up config.link, which link_write() uses from now on; empty and zero fields
+//   mean the UART. Called after boot and whenever a configuration comes into force, while the node is off the
+//   air: it may take 50 ms. Returns why the link did not come up, at most 31 characters, and then uses the
+//   UART; empty if it came up
 // - link_write(frame): queues one whole frame for the host, or nothing and returns false
+// - link_answer(frame): as link_write(), over the link that last delivered bytes to the node
+// - count_link(counters): updates link_bytes_lost and the CAN fields
 // - store_config(blob): replaces the stored blob, which survives resets and power cuts; false: not stored. An
 //   empty blob erases it. May take 100 ms: the node leaves the air before
 // - load_config(out): copies the stored blob to `out` and returns its size; 0: there is none, or it does not
@@ -73,59 +78,28 @@ struct Build {
 // - stack_use(): the present state
 template <class P>
 concept Platform = requires(P& platform, std::uint32_t duration_us, std::span<const std::uint8_t> bytes,
-                            std::span<std::uint8_t> out, Indicator indicator) {
-  { platform.spi() }
-  noexcept;
+                            std::span<std::uint8_t> out, Indicator indicator, const groma_Config& config,
+                            groma_Counters& counters) {
   requires radio::Radio<typename P::Radio> &&
       std::constructible_from<typename P::Radio, decltype(platform.spi())>;
-  { platform.reset_radio() }
-  noexcept->std::same_as<void>;
-  { platform.delay_us(duration_us) }
-  noexcept->std::same_as<void>;
-  { platform.now_us() }
-  noexcept->std::same_as<std::uint64_t>;
-  { platform.radio_interrupt_us() }
-  noexcept->std::same_as<std::uint64_t>;
-  { platform.link_write(bytes) }
-  noexcept->std::same_as<bool>;
-  { platform.store_config(bytes) }
-  noexcept->std::same_as<bool>;
-  { platform.load_config(out) }
-  noexcept->std::same_as<std::size_t>;
-  { platform.cipher() }
-  noexcept->std::same_as<security::BlockCipher&>;
-  { platform.set_indicator(indicator) }
-  noexcept->std::same_as<void>;
-  { platform.restart() }
-  noexcept->std::same_as<void>;
-  { platform.reset_reason() }
-  noexcept->std::same_as<ResetReason>;
-  { platform.last_fault() }
-  noexcept->std::same_as<std::optional<Fault>>;
-  { platform.boot_count() }
-  noexcept->std::same_as<std::uint32_t>;
-  { platform.proof_of_life() }
-  noexcept->std::same_as<void>;
-  { platform.stack_use() }
-  noexcept->std::same_as<StackUse>;
-};
-
-// A platform with more than one link to the host also has:
-// - configure_link(config): brings up config.link, which link_write() uses from now on; empty and zero fields
-//   mean the UART. Called after boot and whenever a configuration comes into force, while the node is off the
-//   air: it may take 50 ms. Returns why the link did not come up, at most 31 characters, and then uses the
-//   UART; empty if it came up
-// - link_answer(frame): as link_write(), over the link that last delivered bytes to the node
-// - count_link(counters): updates link_bytes_lost and the CAN fields
-template <class P>
-concept ChoosesLink = Platform<P> && requires(P& platform, const groma_Config& config,
-                                              groma_Counters& counters, std::span<const std::uint8_t> bytes) {
-  { platform.configure_link(config) }
-  noexcept->std::same_as<const char*>;
-  { platform.link_answer(bytes) }
-  noexcept->std::same_as<bool>;
-  { platform.count_link(counters) }
-  noexcept->std::same_as<void>;
+  { platform.reset_radio() } -> std::same_as<void>;
+  { platform.delay_us(duration_us) } -> std::same_as<void>;
+  { platform.now_us() } -> std::same_as<std::uint64_t>;
+  { platform.radio_interrupt_us() } -> std::same_as<std::uint64_t>;
+  { platform.configure_link(config) } -> std::same_as<const char*>;
+  { platform.link_write(bytes) } -> std::same_as<bool>;
+  { platform.link_answer(bytes) } -> std::same_as<bool>;
+  { platform.count_link(counters) } -> std::same_as<void>;
+  { platform.store_config(bytes) } -> std::same_as<bool>;
+  { platform.load_config(out) } -> std::same_as<std::size_t>;
+  { platform.cipher() } -> std::same_as<security::BlockCipher&>;
+  { platform.set_indicator(indicator) } -> std::same_as<void>;
+  { platform.restart() } -> std::same_as<void>;
+  { platform.reset_reason() } -> std::same_as<ResetReason>;
+  { platform.last_fault() } -> std::same_as<std::optional<Fault>>;
+  { platform.boot_count() } -> std::same_as<std::uint32_t>;
+  { platform.proof_of_life() } -> std::same_as<void>;
+  { platform.stack_use() } -> std::same_as<StackUse>;
 };
 
 }  // namespace groma::node

@@ -15,26 +15,34 @@
 #include <type_traits>
 #include <utility>
 
+#include "firmware/core/node/air_link.hpp"
 #include "firmware/core/node/config.hpp"
 #include "firmware/core/node/machine.hpp"
 #include "firmware/core/node/messages.hpp"
 #include "firmware/core/node/platform.hpp"
 #include "firmware/core/node/radio_clock.hpp"
-#include "firmware/core/node/shared.hpp"
 #include "firmware/core/node/slack.hpp"
+#include "firmware/core/node/survey.hpp"
 #include "firmware/core/radio/radio.hpp"
+#include "groma.pb.h"
 
 namespace groma::node {
 
-// Takes completed exchanges.
-class ExchangeSink {
- public:
-  // Called before the radio is armed for what follows. The exchange is valid until the next one is complete.
-  virtual void on_completed(const mac::Exchange& exchange) noexcept = 0;
-
- protected:
-  ~ExchangeSink() = default;
+// What the parts of a node share.
+template <Platform P>
+struct Shared {
+  P& platform;
+  std::optional<groma_Config> config{};  // in force
+  groma_Counters counters = groma_Counters_init_zero;
+  AirLink air{};
+  Survey survey{};
+  // On the clock of now_us(): until when this tag's slot is lent, and the end of this round of a trial.
+  std::optional<std::uint64_t> lent_until_us{};
+  std::uint64_t trial_end_us = kNever_us;
 };
+
+template <Platform P>
+class Reporter;
 
 template <Platform P>
 class RadioExecutor {
@@ -43,12 +51,12 @@ class RadioExecutor {
   using BringUp = typename Driver::BringUp;
   using ClockTime = ranging::ClockTime;
 
-  // Keeps the references.
-  RadioExecutor(Shared<P>& shared, ExchangeSink& sink) noexcept
-      : shared_(shared), sink_(sink), radio_(shared.platform.spi()) {}
+  // Keeps the references. `reports` takes each completed exchange, before the radio is armed for what
+  // follows.
+  RadioExecutor(Shared<P>& shared, Reporter<P>& reports) noexcept
+      : shared_(shared), reports_(reports), radio_(shared.platform.spi()) {}
 
   [[nodiscard]] Machine& machine() noexcept { return machine_; }
-  [[nodiscard]] const Machine& machine() const noexcept { return machine_; }
   [[nodiscard]] const Driver& driver() const noexcept { return radio_; }
   [[nodiscard]] Slack& slack() noexcept { return slack_; }
   // The result of the last bring_up().
@@ -62,17 +70,13 @@ class RadioExecutor {
   void bring_up() noexcept {
     event_due_us_ = 0;
     launch_us_ = kNever_us;
-    sampling_ = false;
-    failed_ = false;
+    sampling_ = failed_ = false;
     const radio::Settings settings = shared_.config ? radio_settings(*shared_.config) : radio::Settings{};
     bring_up_ = radio_.bring_up(
         settings, [this] { shared_.platform.reset_radio(); }, delay());
     deadline_us_ = is_up() ? kNever_us : now_us() + kBringUpRetry_us;
-    if (is_up() && continue_clock()) {
-      machine_.call([](auto& machine) { machine.on_clock_restart(); });
-    } else {
-      forget();
-    }
+    if (!is_up() || !continue_clock()) return machine_.forget();
+    if (mac::Station* const station = machine_.station()) station->on_clock_restart();
   }
 
   // Checks the radio after it has failed or missed its deadline. Returns false if it does not work, or has
@@ -83,15 +87,12 @@ class RadioExecutor {
     const bool works =
         failures_ == 1 && radio_.restart(delay()) && clock_.is_plausible(radio_.now(), now_us());
     if (works) failed_ = false;
-    if (failures_ > 2) forget();
+    if (failures_ > 2) machine_.forget();
     return works;
   }
 
   // Starts the machine, which searches for its network.
-  void start() noexcept {
-    const ClockTime now = read_clock();
-    perform(machine_.call([now](auto& machine) { return machine.start(now); }));
-  }
+  void start() noexcept { perform(machine_.on(&mac::Station::start, refer_now())); }
   // The radio is off until start() or resume(). Its clock runs on.
   void stop() noexcept {
     radio_.stop();
@@ -99,20 +100,10 @@ class RadioExecutor {
     launch_us_ = kNever_us;
     if (is_up()) deadline_us_ = kNever_us;
   }
-  void resume() noexcept {
-    const ClockTime now = refer_now();
-    perform(machine_.call([now](auto& machine) { return machine.resume(now); }));
-  }
-  void forget() noexcept {
-    machine_.forget();
-    event_due_us_ = 0;
-    launch_us_ = kNever_us;
-  }
+  void resume() noexcept { perform(machine_.on(&mac::Station::resume, refer_now())); }
   // Listens from now on without a machine.
   void listen(ranging::Ticks duration) noexcept {
-    const ClockTime now = refer_now();
-    if (radio_.receive_now(duration, std::nullopt) != radio::Start::kStarted) return recover();
-    supervise({.kind = mac::Action::Kind::kListenNow, .until = now + duration});
+    perform({.action = {.kind = Kind::kListenNow, .until = refer_now() + duration}});
   }
 
   // ---- events --------------------------------------------------------------------------------------------
@@ -143,8 +134,7 @@ class RadioExecutor {
     if (start == radio::Start::kNotIdle) return recover();
     if (start == radio::Start::kTooClose) ++shared_.counters.power_up_errors;
     slack_.add(loaded_.slot, -1);
-    const ClockTime now = refer_now();
-    perform(machine_.call([now](auto& machine) { return machine.on_late(now); }));
+    perform(machine_.on(&mac::Station::on_late, refer_now()));
     precompute();
   }
 
@@ -198,13 +188,15 @@ class RadioExecutor {
     } else {
       ambient_ = radio_.finish_sampling();
       next_ambient_us_ = us + kAmbientPeriod_us;
-      const mac::Health health = ambient_ ? health_of(*ambient_) : mac::Health{};
-      machine_.call([&](auto& machine) { machine.set_health(health); });
+      if (mac::Station* const station = machine_.station())
+        station->set_health(ambient_ ? health_of(*ambient_) : mac::Health{});
     }
     sampling_ = !sampling_;
   }
 
  private:
+  using Kind = mac::Action::Kind;
+
   // Time after its due end until an operation of the radio is aborted.
   static constexpr std::uint64_t kGrace_us = 5'000;
   static constexpr std::uint64_t kBringUpRetry_us = 1'000'000;
@@ -224,7 +216,7 @@ class RadioExecutor {
   void on_transmitted(const radio::Event& event, std::uint64_t interrupt_us) noexcept {
     const ClockTime timestamp = clock_.unwrap(event.timestamp);
     clock_.refer(timestamp + phy().after_rmarker(sent_bytes_), interrupt_us);
-    perform(machine_.call([&](auto& machine) { return machine.on_transmitted(timestamp); }));
+    perform(machine_.on(&mac::Station::on_transmitted, timestamp));
   }
 
   void on_received(radio::Event& event, std::uint64_t interrupt_us) noexcept {
@@ -235,7 +227,7 @@ class RadioExecutor {
     if (ahead) armed = arm_next_window();
     // The answer to a POLL is urgent, and a POLL's quality is not needed.
     radio_.read_frame(event, [this](std::span<const std::uint8_t> frame) {
-      machine_.call([&](auto& machine) { machine.begin_verify(frame); });
+      if (mac::Station* const station = machine_.station()) station->begin_verify(frame);
       return !mac::looks_like_poll(frame);
     });
     if (!ahead) armed = arm_next_window();
@@ -246,19 +238,14 @@ class RadioExecutor {
     }
     if (machine_.station() == nullptr) ++shared_.counters.foreign_frames;
     const mac::Reception reception{timestamp, event.timestamp_valid, event.frame, event.quality};
-    perform(machine_.call([&](auto& machine) { return machine.on_received(reception); }), armed);
+    perform(machine_.on(&mac::Station::on_received, reception), armed);
   }
 
   // A reception failed, or nothing came.
   void on_missed(radio::EventKind kind) noexcept {
-    using radio::EventKind;
     const std::optional<ClockTime> armed = arm_next_window();
     ++counter_of(kind);
-    const bool error = kind != EventKind::kPreambleTimeout && kind != EventKind::kFrameTimeout;
-    const ClockTime now = refer_now();
-    perform(
-        machine_.call([&](auto& machine) { return error ? machine.on_error(now) : machine.on_timeout(now); }),
-        armed);
+    perform(machine_.on(&mac::Station::on_timeout, refer_now()), armed);
   }
   [[nodiscard]] std::uint32_t& counter_of(radio::EventKind kind) noexcept {
     switch (kind) {
@@ -277,22 +264,16 @@ class RadioExecutor {
 
   // The radio is armed: precompute for the next frames.
   void precompute() noexcept {
-    const std::size_t on_air_bytes = machine_.call([](auto& machine) { return machine.precompute(); });
+    const std::size_t on_air_bytes = machine_.precompute();
     if (on_air_bytes != 0) radio_.expect_length(on_air_bytes - radio::kFrameCheckBytes);
   }
 
   // Time is short between two RESPONSEs: arms the next window before the machine evaluates the frame. Returns
   // the window's start if it is armed.
   [[nodiscard]] std::optional<ClockTime> arm_next_window() noexcept {
-    const auto next = machine_.call([](const auto& machine) { return machine.next_rx_window(); });
+    const std::optional<mac::Action> next = machine_.next_rx_window();
     if (!next) return std::nullopt;
-    radio::Start start = listen_at(*next);
-    if (start == radio::Start::kLate) {
-      const ClockTime now = read_clock();
-      if (now >= end_of(*next)) return std::nullopt;
-      ++shared_.counters.late_receives;
-      start = listen_now(*next, now);
-    }
+    const radio::Start start = receive(*next);
     armed_us_ = now_us();
     if (start != radio::Start::kStarted) return std::nullopt;
     return next->at;
@@ -303,41 +284,30 @@ class RadioExecutor {
   void perform(mac::Step step, std::optional<ClockTime> armed = {}) noexcept {
     constexpr int kTries = 100;
     for (int i = 0; i < kTries; ++i) {
-      if (step.completed != nullptr) sink_.on_completed(*step.completed);
+      if (step.completed != nullptr) reports_.on_completed(*step.completed);
       const mac::Action& action = step.action;
       if (const auto at = std::exchange(armed, std::nullopt)) {
         if (is_listening(action, *at)) return supervise(action);
         radio_.stop();
       }
-      if (action.kind == mac::Action::Kind::kNone) return rest();
+      if (action.kind == Kind::kNone) return rest();
       const radio::Start start = arm(action);
       armed_us_ = now_us();
       if (start == radio::Start::kStarted) return supervise(action);
       if (start != radio::Start::kLate && start != radio::Start::kTooClose) return recover();
       if (start == radio::Start::kTooClose) ++shared_.counters.power_up_errors;
-
-      const ClockTime now = refer_now();
+      if (action.kind == Kind::kListen) ++shared_.counters.late_receives;
       slack_.add(action.slot, std::min<std::int32_t>(slack_us(action), -1));
-      if (action.kind == mac::Action::Kind::kTransmit) {
-        step = machine_.call([&](auto& machine) { return machine.on_late(now); });
-        continue;
-      }
-      if (action.kind == mac::Action::Kind::kListen) ++shared_.counters.late_receives;
-      if (now >= end_of(action)) {
-        step = machine_.call([&](auto& machine) { return machine.on_timeout(now); });
-        continue;
-      }
-      if (listen_now(action, now) != radio::Start::kStarted) return recover();
-      return supervise(action);
+      const bool sends = action.kind == Kind::kTransmit;
+      step = machine_.on(sends ? &mac::Station::on_late : &mac::Station::on_timeout, refer_now());
     }
     recover();
   }
 
   [[nodiscard]] radio::Start arm(const mac::Action& action) noexcept {
-    if (action.kind == mac::Action::Kind::kListenNow) return radio::Start::kLate;
-    if (action.kind == mac::Action::Kind::kListen) return listen_at(action);
+    if (action.kind != Kind::kTransmit) return receive(action);
     const radio::Start loaded = radio_.load(clock_.wrap(action.at), action.frame, [this] {
-      machine_.call([](auto& machine) { machine.finish_signing(); });
+      if (mac::Station* const station = machine_.station()) station->finish_signing();
     });
     if (loaded != radio::Start::kStarted) return loaded;
     const std::uint64_t ahead_us = clock_.us_at(preamble_of(action)) - kLaunchAhead_us;
@@ -347,20 +317,24 @@ class RadioExecutor {
     launch_us_ = ahead_us;
     return radio::Start::kStarted;
   }
+  // Listens, at once if it is late for the action's start. Returns kLate if its end has passed too.
+  [[nodiscard]] radio::Start receive(const mac::Action& action) noexcept {
+    const auto hunt = [&action](ClockTime from) -> std::optional<ranging::Ticks> {
+      if (!action.preamble_until) return std::nullopt;
+      return *action.preamble_until - from;
+    };
+    if (action.kind == Kind::kListen) {
+      const radio::Start start =
+          radio_.receive_at(clock_.wrap(action.at), action.until - action.at, hunt(action.at));
+      if (start != radio::Start::kLate) return start;
+    }
+    const ClockTime now = refer_now();
+    if (now >= end_of(action)) return radio::Start::kLate;
+    if (action.kind == Kind::kListen) ++shared_.counters.late_receives;
+    return radio_.receive_now(action.until - now, hunt(now));
+  }
   [[nodiscard]] ClockTime preamble_of(const mac::Action& action) const noexcept {
     return action.at - phy().before_rmarker();
-  }
-  [[nodiscard]] radio::Start listen_at(const mac::Action& action) noexcept {
-    return radio_.receive_at(clock_.wrap(action.at), action.until - action.at,
-                             preamble_timeout(action, action.at));
-  }
-  [[nodiscard]] radio::Start listen_now(const mac::Action& action, ClockTime now) noexcept {
-    return radio_.receive_now(action.until - now, preamble_timeout(action, now));
-  }
-  [[nodiscard]] static std::optional<ranging::Ticks> preamble_timeout(const mac::Action& action,
-                                                                      ClockTime from) noexcept {
-    if (!action.preamble_until) return std::nullopt;
-    return *action.preamble_until - from;
   }
   // When the listening ends at the latest if no frame has begun.
   [[nodiscard]] static ClockTime end_of(const mac::Action& action) noexcept {
@@ -370,7 +344,7 @@ class RadioExecutor {
   [[nodiscard]] static bool is_listening(const mac::Action& action, ClockTime at) noexcept {
     constexpr ranging::Ticks kSame = ranging::Ticks::from_us(1);
     const ranging::Ticks apart = action.at - at;
-    return action.kind == mac::Action::Kind::kListen && apart < kSame && -apart < kSame;
+    return action.kind == Kind::kListen && apart < kSame && -apart < kSame;
   }
 
   void rest() noexcept {
@@ -379,32 +353,27 @@ class RadioExecutor {
   }
 
   void supervise(const mac::Action& action) noexcept {
-    if (action.kind != mac::Action::Kind::kListenNow) slack_.add(action.slot, slack_us(action));
+    slack_.add(action.slot, slack_us(action));
     expect_event(action);
     if (launch_us_ != kNever_us) event_due_us_ = quiet_until_us_ = launch_us_;
   }
 
   void expect_event(const mac::Action& action) noexcept {
-    using Kind = mac::Action::Kind;
     if (action.kind == Kind::kTransmit) sent_bytes_ = action.frame.size() + radio::kFrameCheckBytes;
     const bool later = action.kind != Kind::kListenNow && action.at > clock_.reference();
     event_due_us_ = quiet_until_us_ = later ? clock_.us_at(action.at) : 0;
     if (later && action.kind == Kind::kListen) {
       // An event comes after the shortest frame, or when the preamble search ends.
       constexpr std::size_t kShortest_bytes = 12;
-      const mac::Station* member = machine_.station();
-      const ranging::Ticks until_out = end_of(action) - action.at;
-      event_due_us_ += RadioClock::rough_us(
-          member == nullptr ? until_out : std::min(until_out, phy().air_time(kShortest_bytes)));
+      event_due_us_ +=
+          RadioClock::rough_us(std::min(end_of(action) - action.at, phy().air_time(kShortest_bytes)));
     }
     deadline_us_ = clock_.us_at(action.kind == Kind::kTransmit ? action.at : action.until) + kGrace_us;
   }
 
   // How long before its deadline the action was armed, at armed_us_.
   [[nodiscard]] std::int32_t slack_us(const mac::Action& action) const noexcept {
-    if (machine_.station() == nullptr) return 0;
-    const bool sends = action.kind == mac::Action::Kind::kTransmit;
-    return clock_.us_until(sends ? preamble_of(action) : action.at, armed_us_);
+    return clock_.us_until(action.kind == Kind::kTransmit ? preamble_of(action) : action.at, armed_us_);
   }
 
   // The radio did not answer as expected.
@@ -426,7 +395,7 @@ class RadioExecutor {
   }
 
   Shared<P>& shared_;
-  ExchangeSink& sink_;
+  Reporter<P>& reports_;
   Driver radio_;
   RadioClock clock_;
   Machine machine_;

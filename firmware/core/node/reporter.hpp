@@ -9,15 +9,13 @@
 #include <utility>
 
 #include "firmware/core/node/messages.hpp"
-#include "firmware/core/node/platform.hpp"
 #include "firmware/core/node/radio_executor.hpp"
-#include "firmware/core/node/shared.hpp"
 #include "groma.pb.h"
 
 namespace groma::node {
 
 template <Platform P>
-class Reporter final : public ExchangeSink {
+class Reporter {
  public:
   // Keeps the references; the string build.version outlives the reporter.
   Reporter(Shared<P>& shared, RadioExecutor<P>& radio, const Build& build) noexcept
@@ -25,61 +23,68 @@ class Reporter final : public ExchangeSink {
 
   // ---- messages ------------------------------------------------------------------------------------------
 
-  // Sends a message of this kind, whose body is empty until `fill(body)`, after the report in progress.
-  // Counts one that is not accepted in reports_dropped. `config` as in encode_message().
-  template <class Fill>
-  void send(pb_size_t which, const ReplyContext& to, Fill&& fill, const ReplyConfig& config = {}) noexcept {
+  // Begins a message of this kind, after the report in progress. Returns its empty body, to be filled before
+  // send().
+  auto& begin(pb_size_t which) noexcept {
     finish_report();
     message_ = groma_NodeToHost_init_zero;
     message_.which_body = which;
-    fill(message_.body);
-    count(write(to, config));
+    return message_.body;
   }
-  // `text`: at most 63 characters, empty if the result says all.
-  void reply(const ReplyContext& to, groma_Result result, const char* text,
-             const ReplyConfig& config = {}) noexcept {
-    const auto fill = [&](auto& body) {
-      body.reply.request_id = to.request_id;
-      body.reply.result = result;
-      copy_text(body.reply.text, text);
-    };
-    send(groma_NodeToHost_reply_tag, to, fill, config);
+  // Sends the message that was begun. Counts one that is not accepted in reports_dropped. `config` as in
+  // encode_message().
+  void send(const ReplyContext& to = {}, const ReplyConfig& config = {}) noexcept {
+    if (to.by_air()) {
+      const std::size_t size = encode_message(message_, config, shared_.air.room());
+      if (size != 0) shared_.air.append(size);
+      return count(size != 0);
+    }
+    const auto frame = encoder_.encode(message_, config);
+    const bool answers = to.way == ReplyContext::Way::kAsker;
+    count(answers ? shared_.platform.link_answer(frame) : shared_.platform.link_write(frame));
   }
-  // As reply(), and counts the command as refused.
-  void refuse(const ReplyContext& to, groma_Result result, const char* text) noexcept {
-    ++shared_.counters.commands_refused;
-    reply(to, result, text);
+  void reply(const ReplyContext& to, const Outcome& outcome) noexcept {
+    groma_Reply& reply = begin(groma_NodeToHost_reply_tag).reply;
+    reply.request_id = to.request_id;
+    reply.result = outcome.result;
+    copy_text(reply.text, outcome.text);
+    send(to, outcome.config);
+  }
+  // As reply(), and counts a command that is refused.
+  void answer(const ReplyContext& to, const Outcome& outcome) noexcept {
+    const bool accepted =
+        outcome.result == groma_Result_RESULT_OK || outcome.result == groma_Result_RESULT_PENDING;
+    if (!accepted) ++shared_.counters.commands_refused;
+    reply(to, outcome);
   }
   // `text`: at most 95 characters.
   void log(groma_LogLevel level, const char* text) noexcept {
-    send(groma_NodeToHost_log_tag, {}, [&](auto& body) {
-      body.log.level = level;
-      copy_text(body.log.text, text);
-    });
+    groma_Log& log = begin(groma_NodeToHost_log_tag).log;
+    log.level = level;
+    copy_text(log.text, text);
+    send();
   }
   // Passes on an encoded message that the node `source` sent over the air.
   void pass_on(std::span<const std::uint8_t> message, std::uint16_t source) noexcept {
     finish_report();
-    count(answer_link(encoder_.encode_of(message, source)));
+    count(shared_.platform.link_answer(encoder_.encode_of(message, source)));
   }
 
   // Configures the link of the configuration in force, or the platform's default without one.
   void choose_link() noexcept {
-    if constexpr (ChoosesLink<P>) {
-      link_error_ =
-          shared_.platform.configure_link(shared_.config.value_or(groma_Config groma_Config_init_zero));
-    }
+    link_error_ =
+        shared_.platform.configure_link(shared_.config.value_or(groma_Config groma_Config_init_zero));
   }
 
   // ---- reports of exchanges ------------------------------------------------------------------------------
 
   // Begins to report an exchange, which is valid until the next one is complete. A survey takes its ranges
   // instead.
-  void on_completed(const mac::Exchange& exchange) noexcept override {
+  void on_completed(const mac::Exchange& exchange) noexcept {
     finish_report();
     exchange_ = &exchange;
     ranges_left_ = exchange.count;
-    step_ = Step::kChoose;
+    step_ = &Reporter::choose_anchors;
     report_due_us_ = 0;
   }
   // When continue_report() is due; the maximum: no report is in progress.
@@ -105,34 +110,63 @@ class Reporter final : public ExchangeSink {
   // ---- what a node reports of itself ---------------------------------------------------------------------
 
   void send_hello(const ReplyContext& to = {}) noexcept {
-    send(groma_NodeToHost_hello_tag, to, [&](auto& body) {
-      P& platform = shared_.platform;
-      fill_hello(body.hello, build_, shared_.config, platform.reset_reason(), platform.last_fault(),
-                 platform.stack_use(), describe(radio_.state()));
-      body.hello.boot_count = platform.boot_count();
-      copy_text(body.hello.link_error, link_error_);
-      copy_text(body.hello.radio_warning, radio_.driver().warning());
-    });
+    groma_Hello& hello = begin(groma_NodeToHost_hello_tag).hello;
+    P& platform = shared_.platform;
+    fill_hello(hello, build_, shared_.config, platform.reset_reason(), platform.last_fault(),
+               platform.stack_use(), describe(radio_.state()));
+    hello.boot_count = platform.boot_count();
+    copy_text(hello.link_error, link_error_);
+    copy_text(hello.radio_warning, radio_.driver().warning());
+    send(to);
   }
 
   void send_counters(const ReplyContext& to = {}) noexcept {
-    if constexpr (ChoosesLink<P>) shared_.platform.count_link(shared_.counters);
+    groma_Counters& counters = begin(groma_NodeToHost_counters_tag).counters;
+    shared_.platform.count_link(shared_.counters);
     shared_.counters.pll_flags = radio_.driver().pll_flags();
-    send(groma_NodeToHost_counters_tag, to, [&](auto& body) { body.counters = shared_.counters; });
+    counters = shared_.counters;
+    send(to);
   }
 
   void send_slack(const ReplyContext& to) noexcept {
-    send(groma_NodeToHost_slack_tag, to, [&](auto& body) { radio_.slack().fill(body.slack); });
+    radio_.slack().fill(begin(groma_NodeToHost_slack_tag).slack);
+    send(to);
   }
 
   // A node that is not on the air has no status.
   void send_status() noexcept {
-    const mac::Station* member = radio_.machine().station();
+    Machine& machine = radio_.machine();
+    const mac::Station* const member = machine.station();
     if (member == nullptr) return;
-    send(groma_NodeToHost_network_status_tag, {}, [&](auto& body) {
-      fill_status(body.network_status, *member);
-      fill_membership(body.network_status);
-    });
+    groma_NetworkStatus& status = begin(groma_NodeToHost_network_status_tag).network_status;
+    status.state = static_cast<groma_SyncState>(member->sync().state());
+    status.superframe = machine.superframe();
+    status.skew_ppb = -member->sync().skew_ppb();
+    status.beacons_missed = member->sync().missed_in_a_row();
+    if (const auto& ambient = radio_.ambient()) {
+      status.has_temperature_cdegc = status.has_supply_mv = true;
+      status.temperature_cdegc = ambient->temperature_cdegc;
+      status.supply_mv = ambient->supply_mv;
+    }
+    if (const auto network_time = member->network_time(radio_.latest())) {
+      status.master_id = member->election().master();
+      status.hop = member->election().hop();
+      status.session = member->election().session();
+      status.network_time_dtu = static_cast<std::uint64_t>(network_time->count());
+    }
+    if (const mac::Tag* tag = machine.tag()) {
+      const mac::TagMembership& membership = tag->membership();
+      const auto slot = membership.slot(machine.superframe());
+      status.has_slot = slot.has_value();
+      status.slot = static_cast<std::uint8_t>(slot.value_or(0));
+      status.candidates = static_cast<std::uint32_t>(membership.anchors().size());
+      status.answering = static_cast<std::uint32_t>(membership.anchors().answering());
+    } else if (const mac::Anchor* anchor = machine.anchor()) {
+      const auto owners = anchor->membership().slots().owners();
+      std::copy(owners.begin(), owners.end(), status.holders);
+      status.holders_count = static_cast<pb_size_t>(owners.size());
+    }
+    send();
   }
 
   // Call once a second: logs once for each period of seconds in which the schedule leaves this node too
@@ -149,60 +183,19 @@ class Reporter final : public ExchangeSink {
   }
 
  private:
-  enum class Step : std::uint8_t { kChoose, kBegin, kRanges, kCompact, kFrame };
-
   void count(bool accepted) noexcept {
     if (!accepted) ++shared_.counters.reports_dropped;
   }
 
-  bool write(const ReplyContext& to, const ReplyConfig& config = {}) noexcept {
-    if (to.by_air()) {
-      const std::size_t size = encode_message(message_, config, shared_.air.room());
-      if (size != 0) shared_.air.append(size);
-      return size != 0;
-    }
-    const auto frame = encoder_.encode(message_, config);
-    return to.way == ReplyContext::Way::kAsker ? answer_link(frame) : shared_.platform.link_write(frame);
+  // A report in steps of about 50 us at 64 MHz: each sets the next one, the last ends the report.
+  void report_step() noexcept { (this->*step_)(); }
+  void choose_anchors() noexcept {
+    if (mac::Tag* tag = radio_.machine().tag()) tag->choose_anchors();
+    step_ = &Reporter::begin_report;
+    // The survey is ended where the machine may be changed.
+    if (shared_.survey.under_way()) shared_.survey.add(*std::exchange(exchange_, nullptr));
   }
-
-  bool answer_link(std::span<const std::uint8_t> frame) noexcept {
-    if constexpr (ChoosesLink<P>) return shared_.platform.link_answer(frame);
-    return shared_.platform.link_write(frame);
-  }
-
-  // Each takes about 50 us at 64 MHz; the ranges from the last to the first.
-  void report_step() noexcept {
-    switch (step_) {
-      case Step::kChoose:
-        if (mac::Tag* tag = radio_.machine().tag()) tag->choose_anchors();
-        step_ = Step::kBegin;
-        // The survey is ended where the machine may be changed.
-        if (shared_.survey.under_way()) shared_.survey.add(*std::exchange(exchange_, nullptr));
-        break;
-      case Step::kBegin:
-        begin_message();
-        step_ = Step::kRanges;
-        break;
-      case Step::kRanges:
-        if (ranges_left_ != 0) {
-          put_range(--ranges_left_);
-        } else {
-          end_message();
-        }
-        break;
-      case Step::kCompact:
-        exchange_ = nullptr;
-        count(write({}));
-        break;
-      case Step::kFrame:
-        if (!encoder_.step()) break;
-        exchange_ = nullptr;
-        count(shared_.platform.link_write(encoder_.frame()));
-        break;
-    }
-  }
-
-  void begin_message() noexcept {
+  void begin_report() noexcept {
     message_ = groma_NodeToHost_init_zero;
     message_.which_body = groma_NodeToHost_slot_report_tag;
     groma_SlotReport& report = message_.body.slot_report;
@@ -217,64 +210,32 @@ class Reporter final : public ExchangeSink {
       report.network_rate_ppb = -member->sync().skew_ppb();
     }
     encoder_.begin(report);
+    step_ = &Reporter::put_range;
   }
-
-  void put_range(std::size_t index) noexcept {
-    const Ranging ranging{.raw_stamps = shared_.config->report_raw_stamps,
-                          .correct_temperature = shared_.config->correct_temperature,
-                          .correct_power_bias = shared_.config->correct_power_bias,
-                          .ambient = radio_.ambient()};
+  // The ranges from the last to the first.
+  void put_range() noexcept {
     groma_SlotReport& report = message_.body.slot_report;
-    fill_range(report, index, *exchange_, report_time_, ranging, shared_.counters);
+    if (ranges_left_ == 0) {
+      is_compact() ? make_compact(message_) : encoder_.close(report);
+      step_ = is_compact() ? &Reporter::send_compact : &Reporter::send_in_pieces;
+      return;
+    }
+    const std::size_t index = --ranges_left_;
+    fill_range(report, index, *exchange_, report_time_, *shared_.config, radio_.ambient(), shared_.counters);
     if (!is_compact()) encoder_.put_range(report.ranges[index]);
   }
-
-  void end_message() noexcept {
-    if (is_compact()) {
-      make_compact(message_);
-      step_ = Step::kCompact;
-    } else {
-      encoder_.close(message_.body.slot_report);
-      step_ = Step::kFrame;
-    }
+  void send_compact() noexcept {
+    exchange_ = nullptr;
+    send();
+  }
+  void send_in_pieces() noexcept {
+    if (!encoder_.step()) return;
+    exchange_ = nullptr;
+    count(shared_.platform.link_write(encoder_.frame()));
   }
 
   // Classic CAN has room for compact reports only.
   [[nodiscard]] bool is_compact() const noexcept { return shared_.config->link == groma_Link_LINK_CAN; }
-
-  void fill_status(groma_NetworkStatus& status, const mac::Station& member) const noexcept {
-    const Machine& machine = radio_.machine();
-    status.state = static_cast<groma_SyncState>(member.sync().state());
-    status.superframe = machine.superframe();
-    status.skew_ppb = -member.sync().skew_ppb();
-    status.beacons_missed = member.sync().missed_in_a_row();
-    if (const auto& ambient = radio_.ambient()) {
-      status.has_temperature_cdegc = status.has_supply_mv = true;
-      status.temperature_cdegc = ambient->temperature_cdegc;
-      status.supply_mv = ambient->supply_mv;
-    }
-    if (!machine.in_step()) return;
-    status.master_id = member.election().master();
-    status.hop = member.election().hop();
-    status.session = member.election().session();
-    status.network_time_dtu = static_cast<std::uint64_t>(member.sync().network_time(radio_.latest()).count());
-  }
-
-  void fill_membership(groma_NetworkStatus& status) const noexcept {
-    const Machine& machine = radio_.machine();
-    if (const mac::Tag* tag = machine.tag()) {
-      const mac::TagMembership& membership = tag->membership();
-      const auto slot = membership.slot(machine.superframe());
-      status.has_slot = slot.has_value();
-      status.slot = static_cast<std::uint8_t>(slot.value_or(0));
-      status.candidates = static_cast<std::uint32_t>(membership.anchors().size());
-      status.answering = static_cast<std::uint32_t>(membership.anchors().answering());
-    } else if (const mac::Anchor* anchor = machine.anchor()) {
-      const auto owners = anchor->membership().slots().owners();
-      std::copy(owners.begin(), owners.end(), status.holders);
-      status.holders_count = static_cast<pb_size_t>(owners.size());
-    }
-  }
 
   Shared<P>& shared_;
   RadioExecutor<P>& radio_;
@@ -283,7 +244,7 @@ class Reporter final : public ExchangeSink {
   MessageEncoder encoder_;
   groma_NodeToHost message_ = groma_NodeToHost_init_zero;
   const mac::Exchange* exchange_ = nullptr;  // the report in progress
-  Step step_ = Step::kChoose;
+  void (Reporter::*step_)() noexcept = nullptr;
   std::size_t ranges_left_ = 0;
   ranging::ClockTime report_time_;
   std::uint64_t report_due_us_ = 0;

@@ -4,9 +4,11 @@
 // while that tag is silent.
 #pragma once
 
-#include <array>
-#include <cstddef>
+#include <algorithm>
+#include <cmath>
 #include <cstdint>
+#include <iterator>
+#include <span>
 
 #include "firmware/core/mac/exchange.hpp"
 #include "firmware/core/mac/frame.hpp"
@@ -17,11 +19,16 @@ namespace groma::node {
 class Survey {
  public:
   static constexpr std::uint32_t kMaxExchanges = 200;
-  static constexpr std::size_t kMaxPairs = sizeof(groma_SurveyReport::pairs) / sizeof(groma_SurveyPair);
+  static constexpr std::uint64_t kLongest_us = 60'000'000;
 
   // Starts with `exchanges`, 1 to kMaxExchanges, still to come in the slot of the tag `lender`, and
   // `until_us` on the node's clock to complete them.
-  void begin(std::uint16_t lender, std::uint32_t exchanges, std::uint64_t until_us) noexcept;
+  void begin(std::uint16_t lender, std::uint32_t exchanges, std::uint64_t until_us) noexcept {
+    lender_ = lender;
+    left_ = exchanges;
+    until_us_ = until_us;
+    report_ = groma_SurveyReport_init_zero;
+  }
   void end() noexcept { lender_ = mac::kNobody; }
 
   [[nodiscard]] bool under_way() const noexcept { return lender_ != mac::kNobody; }
@@ -32,27 +39,45 @@ class Survey {
     return under_way() && now_us >= until_us_;
   }
 
-  // Adds the ranges of one exchange. Ignores anchors beyond kMaxPairs, and exchanges beyond the number asked
-  // for.
-  void add(const mac::Exchange& exchange) noexcept;
-  // Mean and standard deviation of the ranges to each anchor, into an empty report.
-  void fill(groma_SurveyReport& report) const noexcept;
+  // Adds the ranges of one exchange. Ignores anchors beyond the report's room, and exchanges beyond the
+  // number asked for.
+  void add(const mac::Exchange& exchange) noexcept {
+    if (left_ == 0) return;
+    --left_;
+    for (const mac::Leg& leg : std::span(exchange.legs).first(exchange.count)) {
+      const mac::Range range = mac::evaluate(exchange, leg);
+      if (range.status == mac::RangeStatus::kOk) add(leg.anchor, range.flight.distance_m());
+    }
+  }
+
+  // Mean and standard deviation of the ranges to each anchor.
+  void fill(groma_SurveyReport& report) const noexcept {
+    report = report_;
+    for (groma_SurveyPair& pair : std::span(report.pairs).first(report.pairs_count))
+      pair.sigma_m = std::sqrt(pair.sigma_m / static_cast<float>(std::max(pair.count - 1, 1)));
+  }
 
  private:
-  struct Sum {
-    std::uint16_t anchor = mac::kNobody;
-    std::uint16_t count = 0;
-    float mean_m = 0.0F;
-    float squares_m2 = 0.0F;
-  };
-
-  void add(std::uint16_t anchor, float range_m) noexcept;
+  // Welford's recurrence. Until fill() sigma_m holds the sum of the squares.
+  void add(std::uint16_t anchor, float range_m) noexcept {
+    groma_SurveyPair* const end = report_.pairs + report_.pairs_count;
+    groma_SurveyPair* const pair =
+        std::find_if(report_.pairs, end, [=](const groma_SurveyPair& p) { return p.anchor_id == anchor; });
+    if (pair == end) {
+      if (end == std::end(report_.pairs)) return;
+      ++report_.pairs_count;
+      pair->anchor_id = anchor;
+    }
+    ++pair->count;
+    const float off_m = range_m - pair->mean_m;
+    pair->mean_m += off_m / static_cast<float>(pair->count);
+    pair->sigma_m += off_m * (range_m - pair->mean_m);
+  }
 
   std::uint16_t lender_ = mac::kNobody;
-  std::uint16_t left_ = 0;  // exchanges
+  std::uint32_t left_ = 0;  // exchanges
   std::uint64_t until_us_ = 0;
-  std::size_t count_ = 0;
-  std::array<Sum, kMaxPairs> sums_{};
+  groma_SurveyReport report_ = groma_SurveyReport_init_zero;
 };
 
 }  // namespace groma::node

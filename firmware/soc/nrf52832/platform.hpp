@@ -82,6 +82,6 @@ class Platform {
   Reset reset_;
 };
 
-static_assert(node::ChoosesLink<Platform>);
+static_assert(node::Platform<Platform>);
 
 }  // namespace groma::nrf52832
