@@ -128,7 +128,7 @@ MUTATIONS = [
     ("mac: exchange closed by the timestamp of another", "firmware/core/mac/tag.cpp", "response.closed_exchange == previous().number", "true", MAC_TEST),
     ("mac: closing timestamp taken from the POLL", "firmware/core/mac/anchor.cpp", "body.closing = reception.timestamp - record.responded;", "body.closing = poll_heard_ - record.responded;", MAC_TEST),
     ("mac: FINAL's timestamp taken from the POLL", "firmware/core/mac/anchor.cpp", "record.closing = reception.timestamp - record.responded;", "record.closing = poll_heard_ - record.responded;", MAC_TEST),
-    ("mac: RESPONSE's timestamp taken from the POLL", "firmware/core/mac/tag.cpp", "  leg.received = reception.timestamp;\n", "  leg.received = exchange.poll_sent;\n", MAC_TEST),
+    ("mac: RESPONSE's timestamp taken from the POLL", "firmware/core/mac/tag.cpp", "  leg.received = reception.timestamp;\n", "  leg.received = current().poll_sent;\n", MAC_TEST),
     ("driver: sensor reading without a conversion", DRIVER, "    write(spi_, kConverterOn);\n", "", DRIVER_TEST),
     ("driver: sensors not biased", DRIVER, "    write(spi_, kSensorBias);\n", "", DRIVER_TEST),
     ("corrections: wrong sign of the power bias", "firmware/core/node/messages.cpp", "flight = flight - ranging::power_bias", "flight = flight + ranging::power_bias", TRUTH_TEST),

@@ -255,11 +255,14 @@ TEST_P(McpTest, RetriesUntilSomebodyAcknowledges) {
   EXPECT_FALSE(module.chip.bus_off());
   EXPECT_EQ(module.chip.transmit_errors(), 128U);
   EXPECT_EQ(module.link.counters().bus_offs, 0U);
+  ASSERT_TRUE(module.link.write(framed(20, 2)));
+  module.run(module.now + 10 * kMs);
+  EXPECT_TRUE(module.link.empty()) << "an error-passive controller takes frames";
   tap.set_connected(true);
   module.run(module.now + 10 * kMs);
   Host host;
   host.take(tap.take(module.now), 3);
-  EXPECT_EQ(host.payloads.size(), 1U);
+  EXPECT_EQ(host.payloads.size(), 2U);
 }
 
 TEST_P(McpTest, ReinitializesAChipAfterAPowerLoss) {
