@@ -6,6 +6,8 @@ add_compile_options(
   -fno-math-errno
   # As on the host: an enumeration can hold any number that is received.
   -fno-short-enums
+  # GCC inlines a function that is defined in its class up to a size of 70, others up to 15.
+  $<$<COMPILE_LANGUAGE:CXX>:--param=max-inline-insns-single=20>
   $<$<COMPILE_LANGUAGE:CXX>:-fno-exceptions>
   $<$<COMPILE_LANGUAGE:CXX>:-fno-rtti>
   $<$<COMPILE_LANGUAGE:CXX>:-fno-threadsafe-statics>
