@@ -3,9 +3,8 @@
 //   Station (search, beacon, shared slot) / slot 0 / slot 1 / ... in turn;
 //   in a slot: POLL --> RESPONSE --> [FINAL]
 //
-// The RESPONSE carries the interval A2 - A1 that ends with itself, because a delayed transmission's timestamp
-// is known beforehand, and the closing interval A3 - A2 of the previous exchange with this tag. If the
-// RESPONSE does not leave at its timestamp, its exchange is never closed and gives no range.
+// If a RESPONSE does not leave at the timestamp that it states, its exchange is never closed and gives no
+// range.
 #pragma once
 
 #include <array>

@@ -1,10 +1,7 @@
 // Selects the anchors that a tag polls: a few of all known ones, those that answer well, and the others in
 // turn, so that it finds an anchor that comes into range or starts again.
 //
-// A place in a POLL goes first to anchors that answer often, with strong first paths, and that the host
-// prefers. If there are more candidates than places, one or two places serve to try the other candidates, in
-// order of the time since their last trial; if few anchors answer, all remaining places do. So an anchor that
-// never answers is tried periodically and does not block a place.
+// docs/explanation/joining.md has the rules, and how soon an anchor is found.
 #pragma once
 
 #include <array>

@@ -1,8 +1,7 @@
 // Tracks the master's clock by the timestamps of its beacons.
 //
 // A Kalman filter with two states: this node's clock at the master's reference instant, and its rate against
-// the master's clock. The first beacon's carrier offset initializes the rate, so that one beacon is enough to
-// receive the next. Between beacons the rate follows a random walk, as crystals do with temperature.
+// the master's clock (docs/explanation/network.md#the-clock-filter).
 #pragma once
 
 #include <cstdint>

@@ -1,14 +1,9 @@
 // How nodes of different timelines on one channel find each other and become one network: pure decisions on
 // top of the election within a session.
 //
-// Of two sessions the older one stays, by its count; within the guard, the one with the smaller id. The
-// losing master marks its last beacon `dissolving`, so that its nodes join the other session. If the losing
-// session does not know of the other one, a node that hears its beacon sends a merge request in the slot
-// where its nodes listen. Of two schedules the newer one stays.
-//
-// Receive windows are narrow, so nodes of another timeline are heard only in scans: superframes in which this
-// node listens all the time. Scans cost ranges. Evidence (frames at unexpected times, missing frames)
-// triggers them, and pauses bound their cost.
+// docs/explanation/network.md has the rules. Receive windows are narrow, so nodes of another timeline are
+// heard only in scans: superframes in which this node listens all the time. Scans cost ranges. Evidence
+// (frames at unexpected times, missing frames) triggers them, and pauses bound their cost.
 #pragma once
 
 #include <cstdint>

@@ -1,27 +1,8 @@
 // Computes and verifies the MICs of a keyed network's frames.
 //
-// A frame's MIC is that of CCM* over all its bytes, under the session's own key:
-//
-//   session key = AES(network key, session (8) | "groma" | 0 0 0)
-//   nonce       = source (2)  superframe (4)  place (1)  type byte (1)  0 0 0 0 0       little-endian
-//
-// A receiver takes superframe and place from its own count, not from the frame, so a frame replayed in
-// another superframe, slot or session fails. A beacon is the exception: it carries its own session and
-// superframe. Its receiver decides whether those are current (replay_guard.hpp).
-//
-// No nonce is used twice under one key. Each node signs under its own id, and SignedPlaces refuses a second
-// frame of one type in one place or before it. SignedPlaces is lost when the node restarts, and a recording
-// could lead a node back to a place of before. So a node that has not excluded a replay signs nothing but its
-// challenge, a JOIN, and this with a key of its own:
-//
-//   challenge key = AES(session key, challenge's nonce (8) | "join" | 0 0 0 0)
-//
-// A node uses no nonce for two challenges. A challenge may be sent several times: then its places differ.
-//
-// A merge request ("call") is a beacon that announces this session to the nodes of another one, in their
-// shared slot. Only a node that has just heard them can make it, and it is valid in that slot only. Its key:
-//
-//   call key    = AES(caller's session key, target's session (8) | "call" | target's superframe (4))
+// docs/reference/air.md has the keys and nonces, docs/explanation/security.md why no nonce is used twice. A
+// receiver takes superframe and place from its own count, except a beacon's: whether those are current is
+// decided elsewhere (replay_guard.hpp).
 //
 // If time is short, a MIC is computed in three steps, of which the second runs in the background:
 // expect_...() when the next frame is known, begin_verify() or begin_signing() with its bytes, then fits() or
@@ -58,9 +39,9 @@ struct MergeTarget {
   std::uint32_t superframe = 0;
 };
 
-// The last place in which a node signed a frame of each type in its session, and that of its challenge. A
-// frame there or earlier could repeat a nonce: take() refuses it. Belongs to the node's boot, not to its
-// state machine, which a radio recovery replaces.
+// The last place in which a node signed a frame of each type in its session, and that of its challenge: a
+// frame there or earlier could repeat a nonce. Belongs to the node's boot, not to its state machine, which a
+// radio recovery replaces.
 class SignedPlaces {
  public:
   // The kind of merge requests, beacons with keys of their own; other frames': the index in Body.

@@ -6,11 +6,7 @@
 //       |                                                                            |
 //       +-------- dissolved, or a newer schedule heard ------------------------------+
 //
-// A session is a count of superframes that some node started; it continues under changing masters. Its id is
-// unique. Of two masters of one session the better rank stays.
-//
-// The content of a beacon left the master `age` superframes ago. A relay passes the age on and cannot reduce
-// it, so relays cannot keep a dead master alive among themselves.
+// docs/explanation/network.md has the rules.
 #pragma once
 
 #include <algorithm>

@@ -1,12 +1,5 @@
 // How nodes join and leave the running network, by messages in the shared slots and by beacons: the tag's
-// side and the anchor's.
-//
-//   tag:    synchronized, no slot --> JOIN (repeated, ever less often) --> a beacon assigns a slot: it polls
-//           leave() --> silent, JOIN "leaving" --> its slot is free
-//   anchor: synchronized after its start --> JOIN, a few times: tags that hear it try it at once; repeated
-//           periodically if the schedule does not name the anchor, for tags that join later
-//           leads: assigns slots to tags that ask; follows: keeps a copy of the slot map
-//           relays the beacon: relays the tags' requests towards the master
+// side and the anchor's (docs/explanation/joining.md).
 #pragma once
 
 #include <array>

@@ -1,10 +1,9 @@
 // A JOIN that a node has to send in the shared slots that are open to all, and the back-off between its
 // repetitions.
 //
-// A node does not know which others want the slot, and cannot hear a collision. After each transmission it
-// therefore draws one of the next open slots, from a window twice as large as before, until it knows that its
-// frame came through or has repeated it often enough. The draw is a hash of the node and the superframe: it
-// needs no source of randomness, differs between nodes, and is equal in each replay.
+// After each transmission a node draws one of the next open slots, from a window twice as large as before,
+// until it knows that its frame came through or has repeated it often enough
+// (docs/explanation/joining.md#back-off-in-the-open-slots).
 #pragma once
 
 #include <cstdint>

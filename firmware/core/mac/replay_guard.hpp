@@ -1,10 +1,6 @@
-// Protects a node of a keyed network against replay. A MIC proves who made a frame, not when.
-//
-// A node that starts to listen could receive a recording. Before it trusts the time in beacons it sends a
-// challenge, a nonce that it never used before, in a JOIN, and waits for a beacon that returns the nonce (a
-// ChallengeResponse). The JOIN's own MIC is valid in its superframe only, so a node that answers it is
-// synchronized with this node. From then on the node compares beacons with its own clock and rejects those
-// that do not fit.
+// Protects a node of a keyed network against replay. A MIC proves who made a frame, not when. A node that
+// starts to listen therefore sends a challenge before it trusts the time in beacons
+// (docs/explanation/security.md#why-replays-fail).
 #pragma once
 
 #include <cstdint>
@@ -18,9 +14,7 @@ namespace groma::mac {
 
 class ReplayGuard final : public ControlChannel {
  public:
-  // `site` outlives this object. In an open network every frame is trusted. The nodes that the schedule names
-  // take turns in the open slots, so that nodes that start together do not collide forever; other nodes
-  // derive their turns from their ids.
+  // `site` outlives this object. In an open network every frame is trusted.
   explicit ReplayGuard(const Site& site) noexcept;
 
   // Discards all trust: the node searches.

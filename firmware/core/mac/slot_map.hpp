@@ -1,22 +1,8 @@
 // The slot map: which tag may poll in each slot, how long a node may rely on that, and how long the master
 // reserves a slot for its tag (the slot's lease).
 //
-// Each beacon carries the map. A node may have an outdated one, because it missed beacons or heard a relay.
-// Two rules still keep two tags out of one slot. Each node follows the newest map that it heard, and a tag
-// polls only while that map is at most kMapGoodFor superframes old. The master keeps a slot that had an owner
-// free for longer than that before another tag gets it. (If a tag announces that it leaves, its slot is free
-// at once, because the tag is silent already.)
-//
-// The master revokes a slot if it heard the slot's tag before and then not for kLease superframes. If a tag
-// asks and no slot is free, it also revokes a slot whose tag it has not heard for as long (that tag may be
-// out of its range). A revoked slot is free. A tag that is still there joins again and gets its slot back,
-// unless it has been reassigned.
-//
-// A new master continues with its map and its leases. A slot that is free in the map may have been assigned
-// in a beacon that this node missed, so it has to stay free for the same time.
-//
-// One gap remains: a tag leaves and returns within kMapGoodFor, and a new master has missed both its leaving
-// and the new owner. A tag that left therefore has to stay away for longer.
+// Each beacon carries the map. docs/explanation/joining.md has the rules that keep two tags out of one slot
+// although nodes may have outdated maps.
 #pragma once
 
 #include <array>

@@ -2,27 +2,12 @@
 //
 //   | BEACON | shared | slot 0 | slot 1 | ...
 //
-//   BEACON: | guard BEACON turnaround 100 us |     shared: | guard BEACON, JOIN or DATA turnaround 100 us |
-//   slot:   | guard POLL turnaround RESPONSE gap RESPONSE gap ... RESPONSE gap |
-//           [turnaround FINAL turnaround] |
-//
-// The master sends the first BEACON. The superframe's number decides whose turn the shared slot is: in one
-// superframe it is open to all, in the next ones the back-ups relay the beacon, in order of rank. All
+// docs/reference/air.md has each slot's parts and the formulas, docs/explanation/network.md the reasons. All
 // instants are those of RMARKERs, in ticks of network time, and multiples of 512 (kTransmitGrid). All
-// instants in a slot follow from the POLL as sent or heard. A POLL that names fewer anchors than the schedule
-// allows only ends earlier.
+// instants in a slot follow from the POLL as sent or heard.
 //
-// The beacon and the shared slot are each followed by the turnaround (the beacon by the gap, if longer) and
-// 100 us, in which a node feeds the beacon to its clock filter before it makes the next frame. In a network
-// with a key a node first verifies one MIC and then makes another, which takes up to 100 us for both.
-// Another 100 us therefore follow the beacon, for a message in the shared slot, and the last slot, for
-// the next beacon. In a tag's slot the schedule's turnaround has to be long enough.
-//
-// A node that received a FINAL has to listen for the next POLL or to make a beacon next, so the turnaround,
-// or the gap if longer, follows a FINAL. After a last RESPONSE the gap is enough, because the polled anchors
-// have sent.
-//
-// A receiver starts Phy::receiver_start() before its guard, still in the time that follows the frame before.
+// After a last RESPONSE the gap is enough, because the polled anchors have sent. A receiver starts
+// Phy::receiver_start() before its guard, still in the time that follows the frame before.
 #pragma once
 
 #include <algorithm>

@@ -1,14 +1,8 @@
 // Transport of the host link's messages over the air: a command from the wired node to another one, and the
 // answer back. Only one message is in progress at a time.
 //
-// A message is split into DATA frames (mac/frame.hpp), which are sent in open shared slots. The last frame of
-// a round requests an acknowledgement, which lists the received fragments; missing ones are sent again. The
-// answer acknowledges the command. If nothing comes back, the frames are sent with more relay hops: the nodes
-// that relay the beacon then forward each frame, twice in their own turns of the shared slot or once in an
-// open slot.
-//
-// A command is executed once. A repeated one, recognized by its number, gets the same answer again. A message
-// that is not acknowledged within kMaxTries is reported as undelivered.
+// docs/reference/air.md specifies fragments, rounds, acknowledgements and relays. A message that is not
+// acknowledged within kMaxTries is reported as undelivered.
 #pragma once
 
 #include <array>

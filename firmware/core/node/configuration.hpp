@@ -1,8 +1,7 @@
 // The node's configuration: as stored in flash, in force, and on trial.
 //
-// A configuration that came over the air is stored with the one before it, and is on trial: unless it is
-// confirmed in time, the node returns to the previous one for as long, and so on in turn until one of the two
-// is confirmed.
+// A configuration that came over the air is stored with the one before it, and is on trial
+// (docs/reference/wire.md#over-the-air).
 #pragma once
 
 #include <array>
