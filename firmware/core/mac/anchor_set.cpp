@@ -83,14 +83,6 @@ void AnchorSet::hear(std::uint16_t id) noexcept {
   }
 }
 
-void AnchorSet::prefer(std::uint16_t id, std::uint8_t weight) noexcept {
-  if (Candidate* candidate = find(id)) candidate->weight = weight;
-}
-
-void AnchorSet::prefer_none() noexcept {
-  for (Candidate& c : candidates_) c.weight = kNeutralWeight;
-}
-
 // The number of places in this POLL that the candidates not chosen have earned.
 std::size_t AnchorSet::trials(std::size_t places) noexcept {
   std::size_t eager = 0;

@@ -52,9 +52,13 @@ class AnchorSet {
 
   // The host's hint: the value of a place for this anchor, relative to kNeutralWeight; with 0 it gets only
   // places that are left over. Does nothing if it is not a candidate.
-  void prefer(std::uint16_t id, std::uint8_t weight) noexcept;
+  void prefer(std::uint16_t id, std::uint8_t weight) noexcept {
+    if (Candidate* candidate = find(id)) candidate->weight = weight;
+  }
   // Sets all weights to kNeutralWeight.
-  void prefer_none() noexcept;
+  void prefer_none() noexcept {
+    for (Candidate& c : candidates_) c.weight = kNeutralWeight;
+  }
 
   // Writes the anchors of the next POLL to `out`, as many as fit or are known. Returns their number.
   std::size_t choose(std::span<std::uint16_t> out) noexcept;

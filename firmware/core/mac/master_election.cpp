@@ -23,10 +23,7 @@ Ticks MasterElection::listening_time() const noexcept {
 }
 
 void MasterElection::search(ClockTime now, ClockTime not_before, std::uint32_t rounds) noexcept {
-  role_ = Role::kSearching;
-  master_ = parent_ = kNobody;
-  dissolving_ = false;
-  competitor_ = 0;
+  part_ = {};
   search_start_ = now;
   lead_at_ = std::max(now + listening_time(), not_before) + std::int64_t{rounds} * beaconers_ * duration_;
 }
@@ -57,35 +54,25 @@ void MasterElection::found() noexcept {
 }
 
 void MasterElection::lead() noexcept {
-  if (role_ == Role::kFollowing) former_ = fresh_;
-  role_ = Role::kLeading;
-  master_ = site_.id;
-  parent_ = kNobody;
-  hop_ = 0;
-  dissolving_ = false;
-  competitor_ = 0;
+  if (part_.role == Role::kFollowing) former_ = fresh_;
+  part_ = {.role = Role::kLeading, .master = site_.id};
   proven_ = true;
-  misplaced_ = 0;
 }
 
 void MasterElection::follow(std::uint16_t source, const Beacon& beacon) noexcept {
-  if (role_ == Role::kSearching || session_ != beacon.session) {
+  if (part_.role == Role::kSearching || session_ != beacon.session) {
     heard_ = {};
     proven_ = false;
     former_.reset();
-  } else if (rank_of_id(beacon.master) > rank_of_id(master_)) {
+  } else if (rank_of_id(beacon.master) > rank_of_id(part_.master)) {
     former_ = fresh_;
   }
   if (const std::size_t rank = rank_of_id(source); rank < kMaxBeaconers) heard_[rank] = beacon.superframe;
-  role_ = Role::kFollowing;
+  const auto hop = static_cast<std::uint8_t>(std::min<int>(beacon.hop + 1, 255));
+  part_ = {.role = Role::kFollowing, .master = beacon.master, .parent = source, .hop = hop};
   session_ = beacon.session;
   number_ = beacon.superframe;
-  master_ = beacon.master;
-  parent_ = source;
   parent_origin_ = fresh_ = origin_of(beacon);
-  hop_ = static_cast<std::uint8_t>(std::min<int>(beacon.hop + 1, 255));
-  dissolving_ = false;
-  misplaced_ = 0;
 }
 
 std::size_t MasterElection::rank_of_id(std::uint16_t id) const noexcept {
@@ -124,8 +111,8 @@ Verdict MasterElection::judge(std::uint16_t source, const Beacon& beacon, Ticks 
 // row, this node's own count is wrong.
 Verdict MasterElection::judge_misplaced(const Beacon& beacon, Ticks ahead) noexcept {
   constexpr std::uint8_t kBelieved = 3;
-  if (beacon.hop != 0 || ++misplaced_ < kBelieved) return Verdict::kIgnore;
-  misplaced_ = 0;
+  if (beacon.hop != 0 || ++part_.misplaced < kBelieved) return Verdict::kIgnore;
+  part_.misplaced = 0;
   if (!leads()) return Verdict::kLeave;
   if (ahead > Ticks(0)) dissolve();
   return Verdict::kIgnore;
@@ -135,7 +122,7 @@ Verdict MasterElection::judge_as_master(std::uint16_t source, const Beacon& beac
   if (beacon.master == site_.id) return Verdict::kIgnore;
   const std::size_t theirs = rank_of_id(beacon.master);
   if (theirs > *rank_) {
-    competitor_ = theirs;
+    part_.competitor = theirs;
     competitor_until_ = beacon.superframe + 8 * beaconers_;
     return Verdict::kIgnore;
   }
@@ -151,8 +138,8 @@ Verdict MasterElection::judge_as_master(std::uint16_t source, const Beacon& beac
 Verdict MasterElection::judge_as_follower(std::uint16_t source, const Beacon& beacon, Ticks ahead) noexcept {
   if (beacon.master == site_.id) return Verdict::kIgnore;  // outdated: this node was the master
   const std::int32_t newer = since(origin_of(beacon), fresh_);
-  if (beacon.master != master_) {
-    const bool better = rank_of_id(beacon.master) < rank_of_id(master_) && is_news(beacon);
+  if (beacon.master != part_.master) {
+    const bool better = rank_of_id(beacon.master) < rank_of_id(part_.master) && is_news(beacon);
     // Information from its own master may be as old as this node's own path to it allows.
     if (!better && newer <= static_cast<std::int32_t>(patience() - kPatience / 2)) return Verdict::kIgnore;
     follow(source, beacon);
@@ -160,7 +147,7 @@ Verdict MasterElection::judge_as_follower(std::uint16_t source, const Beacon& be
   }
   if (!aligned(ahead)) return Verdict::kMeasure;  // the clock filter decides whether to use it
   heard_[rank_of_id(source)] = beacon.superframe;
-  misplaced_ = 0;
+  part_.misplaced = 0;
   if (newer > 0) {
     proven_ = true;
     fresh_ = origin_of(beacon);
@@ -173,22 +160,22 @@ Verdict MasterElection::choose_parent(std::uint16_t source, const Beacon& beacon
                                       std::int32_t newer) noexcept {
   const std::uint32_t origin = origin_of(beacon);
   const auto hop = static_cast<std::uint8_t>(std::min<int>(beacon.hop + 1, 255));
-  if (source == parent_) {
+  if (source == part_.parent) {
     // A relay that has not heard news itself knows no more than this node.
     if (since(origin, parent_origin_) <= 0) return Verdict::kKnown;
-    hop_ = hop;
+    part_.hop = hop;
     parent_origin_ = origin;
     return Verdict::kMeasure;
   }
   const auto silent = since(beacon.superframe, parent_origin_);
   const auto turns = static_cast<std::int32_t>(beaconers_);
   constexpr std::int32_t kMissesOfMaster = 6;
-  const bool lost = silent > (hop_ == 1 ? kMissesOfMaster : 3 * turns + beacon.age);
-  const bool better = hop < hop_ || lost || newer > 2 * turns;
+  const bool lost = silent > (part_.hop == 1 ? kMissesOfMaster : 3 * turns + beacon.age);
+  const bool better = hop < part_.hop || lost || newer > 2 * turns;
   if (newer <= 0 || !better) return Verdict::kKnown;
-  parent_ = source;
+  part_.parent = source;
   parent_origin_ = origin;
-  hop_ = hop;
+  part_.hop = hop;
   return Verdict::kSwitch;
 }
 
@@ -197,7 +184,7 @@ std::uint32_t MasterElection::better_ranks_alive(std::uint32_t number) const noe
   const auto recent = static_cast<std::int32_t>(kPatience + 4 * beaconers_);
   std::uint32_t count = 0;
   for (std::size_t rank = 0; rank < *rank_; ++rank) {
-    if (rank == rank_of_id(master_) || !heard_[rank]) continue;
+    if (rank == rank_of_id(part_.master) || !heard_[rank]) continue;
     if (since(number, *heard_[rank]) <= recent) ++count;
   }
   return count;
@@ -205,7 +192,7 @@ std::uint32_t MasterElection::better_ranks_alive(std::uint32_t number) const noe
 
 bool MasterElection::begin(std::uint32_t number) noexcept {
   number_ = number;
-  if (competitor_ != 0 && since(number, competitor_until_) > 0) competitor_ = 0;
+  if (part_.competitor != 0 && since(number, competitor_until_) > 0) part_.competitor = 0;
   if (leads()) {
     fresh_ = number;
     return false;
@@ -221,9 +208,9 @@ bool MasterElection::begin(std::uint32_t number) noexcept {
 void MasterElection::on_absence(std::uint32_t number) noexcept {
   if (!leads() || since(number, fresh_) < static_cast<std::int32_t>(kPatience - 2)) return;
   constexpr std::uint32_t kToHearOthers = 3;
-  role_ = Role::kFollowing;
-  hop_ = 1;
-  dissolving_ = false;
+  part_.role = Role::kFollowing;
+  part_.hop = 1;
+  part_.dissolving = false;
   fresh_ = number - kPatience + kToHearOthers;
 }
 
@@ -232,18 +219,19 @@ void MasterElection::on_absence(std::uint32_t number) noexcept {
 bool MasterElection::owns_turn(std::uint32_t number) const noexcept {
   if (!rank_ || turn(number) == 0) return false;
   if (*rank_ != 0) return turn(number) == *rank_ && (even(number) || !leads());
-  return turn(number) == (leads() ? competitor_ : rank_of_id(master_)) && !even(number);
+  return turn(number) == (leads() ? part_.competitor : rank_of_id(part_.master)) && !even(number);
 }
 
 bool MasterElection::has_shared_turn(std::uint32_t number) const noexcept {
-  const bool may = role_ != Role::kSearching && !dissolving_ && (leads() || age(number) <= patience());
+  const bool may =
+      part_.role != Role::kSearching && !part_.dissolving && (leads() || age(number) <= patience());
   return may && owns_turn(number);
 }
 
 bool MasterElection::parent_due(std::uint32_t number, bool shared) const noexcept {
-  if (role_ != Role::kFollowing) return false;
-  if (hop_ <= 1) return !shared;
-  return shared && turn(number) == rank_of_id(parent_);
+  if (part_.role != Role::kFollowing) return false;
+  if (part_.hop <= 1) return !shared;
+  return shared && turn(number) == rank_of_id(part_.parent);
 }
 
 }  // namespace groma::mac

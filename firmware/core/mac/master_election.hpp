@@ -54,7 +54,7 @@ class MasterElection {
   // Follows the beacon's master, by the path of `source`.
   void follow(std::uint16_t source, const Beacon& beacon) noexcept;
   // Marks the next beacon of this master as its last one.
-  void dissolve() noexcept { dissolving_ = true; }
+  void dissolve() noexcept { part_.dissolving = true; }
 
   // Only anchors with a rank send beacons, and a master's own beacon is as old as its hop count.
   [[nodiscard]] bool is_credible(std::uint16_t source, const Beacon& beacon) const noexcept;
@@ -78,17 +78,17 @@ class MasterElection {
   // In superframe `number` a beacon of the followed path is due, in the shared slot or in the beacon slot.
   [[nodiscard]] bool parent_due(std::uint32_t number, bool shared) const noexcept;
 
-  [[nodiscard]] Role role() const noexcept { return role_; }
-  [[nodiscard]] bool leads() const noexcept { return role_ == Role::kLeading; }
+  [[nodiscard]] Role role() const noexcept { return part_.role; }
+  [[nodiscard]] bool leads() const noexcept { return part_.role == Role::kLeading; }
   [[nodiscard]] std::optional<std::size_t> rank() const noexcept { return rank_; }
   // beaconers() if it has none.
   [[nodiscard]] std::size_t rank_of_id(std::uint16_t id) const noexcept;
   // The number of anchors that send beacons.
   [[nodiscard]] std::uint32_t beaconers() const noexcept { return beaconers_; }
   [[nodiscard]] std::uint64_t session() const noexcept { return session_; }
-  [[nodiscard]] std::uint16_t master() const noexcept { return master_; }  // kNobody while searching
-  [[nodiscard]] std::uint8_t hop() const noexcept { return hop_; }         // 0: leads
-  [[nodiscard]] bool dissolving() const noexcept { return dissolving_; }
+  [[nodiscard]] std::uint16_t master() const noexcept { return part_.master; }  // kNobody while searching
+  [[nodiscard]] std::uint8_t hop() const noexcept { return part_.hop; }         // 0: leads
+  [[nodiscard]] bool dissolving() const noexcept { return part_.dissolving; }
   [[nodiscard]] std::uint32_t number() const noexcept { return number_; }  // superframe in progress
   // More than one beacon has confirmed the session.
   [[nodiscard]] bool proven() const noexcept { return proven_; }
@@ -96,7 +96,7 @@ class MasterElection {
   [[nodiscard]] std::uint32_t age(std::uint32_t number) const noexcept;
   // This follower has had no news of the master for so long that the master counts as gone.
   [[nodiscard]] bool lost_master(std::uint32_t number) const noexcept {
-    return role_ == Role::kFollowing && age(number) > patience();
+    return part_.role == Role::kFollowing && age(number) > patience();
   }
   // The master has been gone for so long that every back-up should have taken over.
   [[nodiscard]] bool overdue(std::uint32_t number) const noexcept {
@@ -105,7 +105,7 @@ class MasterElection {
   // The followed session is known from one beacon only, and has not been confirmed for too long: the beacon
   // may have been forged or damaged.
   [[nodiscard]] bool orphaned_after_one_beacon(std::uint32_t number) const noexcept {
-    return role_ == Role::kFollowing && !proven_ && age(number) > patience() + 2 * beaconers_;
+    return part_.role == Role::kFollowing && !proven_ && age(number) > patience() + 2 * beaconers_;
   }
   [[nodiscard]] bool aligned(Ticks ahead) const noexcept { return ahead <= guard_ && ahead >= -guard_; }
   // The two timelines count different superframes.
@@ -125,7 +125,7 @@ class MasterElection {
                                       std::int32_t newer) noexcept;
   void lead() noexcept;
   [[nodiscard]] std::uint32_t patience_at(std::uint8_t hop) const noexcept;
-  [[nodiscard]] std::uint32_t patience() const noexcept { return patience_at(hop_); }
+  [[nodiscard]] std::uint32_t patience() const noexcept { return patience_at(part_.hop); }
   [[nodiscard]] bool is_news(const Beacon& beacon) const noexcept;
   [[nodiscard]] std::uint32_t better_ranks_alive(std::uint32_t number) const noexcept;
   [[nodiscard]] Ticks listening_time() const noexcept;
@@ -138,13 +138,16 @@ class MasterElection {
   std::optional<std::size_t> rank_;
   std::uint32_t beaconers_;
 
-  Role role_ = Role::kSearching;
-  bool dissolving_ = false;
+  struct Part {  // in the session; a change of role sets all of it
+    Role role = Role::kSearching;
+    std::uint16_t master = kNobody;
+    std::uint16_t parent = kNobody;  // the sender whose beacons the clock filter uses
+    std::uint8_t hop = 0;
+    bool dissolving = false;
+    std::uint8_t misplaced = 0;  // consecutive beacons of masters of this session with a wrong count
+    std::size_t competitor = 0;  // rank of a competing, worse master of this session; 0: none
+  } part_;
   bool proven_ = false;
-  std::uint8_t hop_ = 0;
-  std::uint8_t misplaced_ = 0;  // consecutive beacons of masters of this session with a wrong count
-  std::uint16_t master_ = kNobody;
-  std::uint16_t parent_ = kNobody;  // the sender whose beacons the clock filter uses
   std::uint64_t session_ = 0;
   std::uint32_t number_ = 0;
   std::uint32_t fresh_ = 0;          // superframe in which the master sent what is known
@@ -153,7 +156,6 @@ class MasterElection {
   std::optional<std::uint32_t> former_;
   // Superframe in which each rank was last heard directly.
   std::array<std::optional<std::uint32_t>, kMaxBeaconers> heard_{};
-  std::size_t competitor_ = 0;  // rank of a competing, worse master of this session; 0: none
   std::uint32_t competitor_until_ = 0;
   ClockTime search_start_;
   ClockTime lead_at_;

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <limits>
+#include <utility>
 
 #include "firmware/core/mac/superframe.hpp"
 
@@ -35,11 +36,6 @@ void SlotMap::reset() noexcept {
 }
 
 // ---- the map --------------------------------------------------------------------------------------------
-
-void SlotMap::fill(Beacon& beacon) const noexcept {
-  beacon.slots = static_cast<std::uint8_t>(count_);
-  beacon.owners = owners_;
-}
 
 std::size_t SlotMap::scheduled_tags(std::size_t slot) const noexcept {
   const auto tags = tags_of(*schedule_);
@@ -81,9 +77,7 @@ void SlotMap::set(std::size_t slot, std::uint16_t owner) noexcept {
 
 // The slot's former owner, or the schedule's tags, may have it back.
 void SlotMap::revoke(std::size_t slot) noexcept {
-  const std::uint16_t before = owners_[slot];
-  set(slot, kNobody);
-  leases_[slot].before = before;
+  leases_[slot] = {.before = std::exchange(owners_[slot], kNobody)};
 }
 
 void SlotMap::advance(std::uint32_t number) noexcept {
@@ -124,11 +118,7 @@ void SlotMap::take(const Beacon& beacon, bool adopted) noexcept {
   for (std::size_t slot = 0; slot < std::min<std::size_t>(count_, beacon.slots); ++slot) {
     const std::uint16_t owner = beacon.owners[slot];
     if (owner == owners_[slot]) continue;
-    if (owner == kNobody) {
-      revoke(slot);
-    } else {
-      set(slot, owner);
-    }
+    owner == kNobody ? revoke(slot) : set(slot, owner);
   }
   known_ = true;
   session_ = beacon.session;

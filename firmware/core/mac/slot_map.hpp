@@ -37,7 +37,10 @@ class SlotMap {
   [[nodiscard]] std::span<const std::uint16_t> owners() const noexcept {
     return std::span(owners_).first(count_);
   }
-  void fill(Beacon& beacon) const noexcept;
+  void fill(Beacon& beacon) const noexcept {
+    beacon.slots = static_cast<std::uint8_t>(count_);
+    beacon.owners = owners_;
+  }
   [[nodiscard]] bool may_poll(std::uint16_t tag, std::size_t slot) const noexcept {
     return slot < count_ && admits(owners_[slot], slot, tag);
   }

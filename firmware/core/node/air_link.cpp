@@ -101,12 +101,8 @@ void AirLink::begin_sending(Phase phase) noexcept {
   phase_ = phase;
   fragments_ = static_cast<std::uint8_t>(
       std::clamp<std::size_t>((size_ + kMaxDataBytes - 1) / kMaxDataBytes, 1, kMaxFragments));
-  have_ = 0;
-  next_ = 0;
-  tries_ = 0;
-  wait_ = 0;
-  round_over_ = false;
-  acknowledge_ = false;
+  have_ = next_ = tries_ = wait_ = 0;
+  round_over_ = acknowledge_ = false;
 }
 
 // ---- to the air -----------------------------------------------------------------------------------------
@@ -257,24 +253,18 @@ void AirLink::take_command(const Data& data, bool direct) noexcept {
     acknowledge_ = false;
   }
   idle_ = 0;
-  switch (phase_) {
-    case Phase::kTaking:
-      if (store(data)) {
-        phase_ = Phase::kTaken;
-        event_ = Event::kCommand;
-      }
-      acknowledge_ = acknowledge_ || data.asks || phase_ == Phase::kTaken;
-      break;
-    case Phase::kTaken:
-      acknowledge_ = data.asks;
-      break;
-    case Phase::kAnswered:
-      // The peer has started again, or never acknowledged the answer.
-      begin_sending(Phase::kAnswering);
-      next_ = last_missing();
-      break;
-    default:
-      break;
+  if (phase_ == Phase::kTaking) {
+    if (store(data)) {
+      phase_ = Phase::kTaken;
+      event_ = Event::kCommand;
+    }
+    acknowledge_ = acknowledge_ || data.asks || phase_ == Phase::kTaken;
+  } else if (phase_ == Phase::kTaken) {
+    acknowledge_ = data.asks;
+  } else if (phase_ == Phase::kAnswered) {
+    // The peer has started again, or never acknowledged the answer.
+    begin_sending(Phase::kAnswering);
+    next_ = last_missing();
   }
 }
 
@@ -336,8 +326,7 @@ void AirLink::take_acknowledgement(const Data& data) noexcept {
   }
   // Start a new round with the missing fragments.
   round_over_ = false;
-  next_ = 0;
-  wait_ = 0;
+  next_ = wait_ = 0;
 }
 
 }  // namespace groma::node

@@ -19,14 +19,8 @@ constexpr std::uint32_t kLargest16 = 0xFFFF;
 constexpr std::uint32_t kBeforeTag = 100;
 
 radio::Preamble preamble_of(groma_Preamble preamble) noexcept {
-  switch (preamble) {
-    case groma_Preamble_PREAMBLE_64:
-      return radio::Preamble::k64;
-    case groma_Preamble_PREAMBLE_256:
-      return radio::Preamble::k256;
-    default:
-      return radio::Preamble::k128;
-  }
+  if (preamble == groma_Preamble_PREAMBLE_64) return radio::Preamble::k64;
+  return preamble == groma_Preamble_PREAMBLE_256 ? radio::Preamble::k256 : radio::Preamble::k128;
 }
 
 // The schedule need not list the id, but must not list it for the other role.
@@ -58,18 +52,14 @@ const char* fault_of(const groma_Config& config) noexcept {
   if (config.transmit_antenna_delay_dtu > kLargest16) return "transmit_antenna_delay_dtu: 0 to 65535";
   if (config.receive_antenna_delay_dtu > kLargest16) return "receive_antenna_delay_dtu: 0 to 65535";
   if (mac::number_of(config.link) > _groma_Link_MAX) return "link: UART, CAN or CAN_FD";
-  if (config.network_key.size != 0 && config.network_key.size != security::kBlockBytes) {
+  if (config.network_key.size != 0 && config.network_key.size != security::kBlockBytes)
     return "network_key: 16 bytes, or none";
-  }
-  if (config.network_key_hash != 0 && config.network_key.size == 0) {
+  if (config.network_key_hash != 0 && config.network_key.size == 0)
     return "network_key: missing, and this node has a different one";
-  }
-  if (config.can_nominal_bit_per_s != 0 && !mcp2518fd::nominal_timing(config.can_nominal_bit_per_s)) {
+  if (config.can_nominal_bit_per_s != 0 && !mcp2518fd::nominal_timing(config.can_nominal_bit_per_s))
     return "can_nominal_bit_per_s: such as 1000000, 500000, 250000, 125000";
-  }
-  if (config.can_data_bit_per_s != 0 && !mcp2518fd::data_timing(config.can_data_bit_per_s)) {
+  if (config.can_data_bit_per_s != 0 && !mcp2518fd::data_timing(config.can_data_bit_per_s))
     return "can_data_bit_per_s: such as 1000000, 2000000, 4000000, 5000000";
-  }
   return "";
 }
 

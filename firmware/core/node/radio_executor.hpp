@@ -206,6 +206,12 @@ class RadioExecutor {
   static constexpr std::uint64_t kAmbientPeriod_us = 1'000'000;
   // Processor time for each half of a sampling.
   static constexpr std::uint64_t kAmbientWork_us = 100;
+  static constexpr std::pair<radio::EventKind, std::uint32_t groma_Counters::*> kMissed[]{
+      {radio::EventKind::kPreambleTimeout, &groma_Counters::preamble_timeouts},
+      {radio::EventKind::kFrameTimeout, &groma_Counters::frame_timeouts},
+      {radio::EventKind::kSfdTimeout, &groma_Counters::sfd_timeouts},
+      {radio::EventKind::kCheckError, &groma_Counters::crc_errors},
+      {radio::EventKind::kHeaderError, &groma_Counters::header_errors}};
 
   [[nodiscard]] std::uint64_t now_us() const noexcept { return shared_.platform.now_us(); }
   [[nodiscard]] radio::Phy phy() const noexcept { return radio_.phy(); }
@@ -244,22 +250,8 @@ class RadioExecutor {
   // A reception failed, or nothing came.
   void on_missed(radio::EventKind kind) noexcept {
     const std::optional<ClockTime> armed = arm_next_window();
-    ++counter_of(kind);
+    for (const auto& [missed, counter] : kMissed) shared_.counters.*counter += missed == kind ? 1U : 0U;
     perform(machine_.on(&mac::Station::on_timeout, refer_now()), armed);
-  }
-  [[nodiscard]] std::uint32_t& counter_of(radio::EventKind kind) noexcept {
-    switch (kind) {
-      case radio::EventKind::kPreambleTimeout:
-        return shared_.counters.preamble_timeouts;
-      case radio::EventKind::kFrameTimeout:
-        return shared_.counters.frame_timeouts;
-      case radio::EventKind::kSfdTimeout:
-        return shared_.counters.sfd_timeouts;
-      case radio::EventKind::kCheckError:
-        return shared_.counters.crc_errors;
-      default:
-        return shared_.counters.header_errors;
-    }
   }
 
   // The radio is armed: precompute for the next frames.
