@@ -125,6 +125,17 @@ TEST(ClockTracker, RejectsAnOutlierAndIsUnaffected) {
   EXPECT_TRUE(tracker.update(50 * kPeriod, beacons.timestamp(50 * kPeriod)));
 }
 
+TEST(ClockTracker, GivesTheMastersTimeOfThisNodesClock) {
+  Beacons beacons(35.0, 0.0, 6.0, 6);
+  ClockTracker tracker;
+  tracker.seed(Ticks(0), beacons.timestamp(Ticks(0)), -35'000);
+  for (int n = 1; n < 50; ++n) tracker.update(n * kPeriod, beacons.timestamp(n * kPeriod));
+  for (const Ticks master : {45 * kPeriod, 50 * kPeriod, 100 * kPeriod}) {
+    const Ticks back = tracker.master(tracker.local(master));
+    EXPECT_NEAR(static_cast<double>((back - master).count()), 0.0, 50.0) << master.count();
+  }
+}
+
 TEST(ClockTracker, HoursOfBeaconsLoseNoPrecision) {
   Beacons beacons(-39.0, 0.0, 6.0, 5);
   ClockTracker tracker;

@@ -6,11 +6,14 @@
 // (docs/explanation/joining.md#back-off-in-the-open-slots).
 #pragma once
 
+#include <algorithm>
 #include <cstdint>
 #include <optional>
+#include <utility>
 
 #include "firmware/core/mac/control_channel.hpp"
 #include "firmware/core/mac/frame.hpp"
+#include "firmware/core/mac/hash.hpp"
 
 namespace groma::mac {
 
@@ -28,7 +31,12 @@ class RepeatedJoin {
 
   // Requests transmissions of `join` from superframe `number` on. If its nonce is 0, each transmission gets
   // one of its own. If one is pending already, only the JOIN is replaced.
-  void want(const Join& join, const Repetition& repetition, std::uint32_t number) noexcept;
+  void want(const Join& join, const Repetition& repetition, std::uint32_t number) noexcept {
+    join_ = join;
+    if (std::exchange(pending_, true)) return;
+    left_ = repetition;
+    wait_ = draw(number);
+  }
   // The JOIN came through, or is not needed any more.
   void settle() noexcept { pending_ = false; }
   [[nodiscard]] bool pending() const noexcept { return pending_; }
@@ -36,15 +44,45 @@ class RepeatedJoin {
   [[nodiscard]] const Join& join() const noexcept { return join_; }
 
   // Call once for each superframe `number` whose open slot comes next. Returns what this node sends in it.
-  [[nodiscard]] std::optional<ControlChannel::Outgoing> turn(std::uint32_t number) noexcept;
+  [[nodiscard]] std::optional<ControlChannel::Outgoing> turn(std::uint32_t number) noexcept {
+    if (!pending_) return std::nullopt;
+    if (wait_ > 0) {
+      --wait_;
+      return std::nullopt;
+    }
+    under_way_ = true;
+    pending_ = left_.times != 1;
+    if (left_.times > 1) --left_.times;
+    if (left_.first_window_log2 < left_.last_window_log2) ++left_.first_window_log2;
+    wait_ = draw(number);
+    Join join = join_;
+    // Unique for each request and node.
+    if (join.nonce == 0) join.nonce = std::uint64_t{id_} << 32 | number;
+    return ControlChannel::Outgoing{.body = join};
+  }
   // Returns the pending JOIN for a slot in which no other node sends; it need not be repeated.
-  [[nodiscard]] std::optional<ControlChannel::Outgoing> take() noexcept;
+  [[nodiscard]] std::optional<ControlChannel::Outgoing> take() noexcept {
+    if (!std::exchange(pending_, false)) return std::nullopt;
+    under_way_ = true;
+    return ControlChannel::Outgoing{.body = join_};
+  }
   // The JOIN of turn() or take() was sent, or was too late for its slot: then it gets the next one.
-  void on_sent(bool sent) noexcept;
+  void on_sent(bool sent) noexcept {
+    if (!std::exchange(under_way_, false) || sent) return;
+    if (!std::exchange(pending_, true)) {
+      left_.times = 1;
+    } else if (left_.times > 0) {
+      ++left_.times;
+    }
+    wait_ = 0;
+  }
 
  private:
   // The open slots to skip, before superframe `number`, for the first window of what is left.
-  [[nodiscard]] std::uint16_t draw(std::uint32_t number) const noexcept;
+  [[nodiscard]] std::uint16_t draw(std::uint32_t number) const noexcept {
+    const std::uint32_t h = mix(number ^ (std::uint32_t{id_} << 16 | std::uint32_t{id_} >> 3) ^ salt_);
+    return static_cast<std::uint16_t>(h & ((1U << left_.first_window_log2) - 1U));
+  }
 
   std::uint16_t id_;
   std::uint32_t salt_;

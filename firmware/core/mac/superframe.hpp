@@ -29,7 +29,7 @@ namespace groma::mac {
 // The lower limits are, for turnaround and gap, the time that the fastest known radio needs if its processor
 // needs none at all (its driver's least_turnaround_us() for a POLL to one anchor and its RESPONSE, and
 // kLeastGap_us). For the guard: 1 for flights of 100 m and clocks 40 ppm apart over the 7 ms of 16
-// RESPONSEs; 1 for 5 sigma of a beacon's path (synchronizer.cpp), because a node sends only if its clock is
+// RESPONSEs; 1 for 5 sigma of a beacon's path (synchronizer.hpp), because a node sends only if its clock is
 // known to within the guard.
 inline constexpr std::uint32_t kLeastTurnaround_us = 90;
 inline constexpr std::uint32_t kLeastGap_us = 35;
