@@ -5,7 +5,7 @@ START_UP = "firmware/core/dw1000/start_up.hpp"
 SETTINGS = "firmware/core/dw1000/settings.hpp"
 REGISTERS = "firmware/core/dw1000/registers.hpp"
 STORE = "firmware/core/storage/record_store.hpp"
-AIR_LINK = "firmware/core/node/air_link.cpp"
+AIR_LINK = "firmware/core/node/air_link.hpp"
 AIR_LINK_TEST = ["test/firmware/air_link_test.cpp"]
 PARTICIPATION = "firmware/core/node/participation.hpp"
 CONFIGURATION = "firmware/core/node/configuration.hpp"
@@ -195,7 +195,7 @@ MUTATIONS = [
     ("node: a trial begins only when the node has joined", CONFIGURATION, "    begin_round(has_previous() && trial_s != 0);\n    put_in_force(stored);\n", "    put_in_force(stored);\n    begin_round(has_previous() && trial_s != 0);\n", REACH_TEST),
     ("node: a late listening counts twice", EXECUTOR, "    return radio_.receive_now(", "    slack_.add(action.slot, -1);\n    return radio_.receive_now(", NODE_TEST),
     ("node: a master restarts its session after a write", PARTICIPATION, "if (machine_.station() == nullptr) return join();", "return join();", NODE_TEST),
-    ("air: repeated command executed again", AIR_LINK, "  if (idle_ >= kForgotten) return false;\n", "  if (idle_ < kForgotten) return false;\n", AIR_LINK_TEST),
+    ("air: repeated command executed again", AIR_LINK, "    if (idle_ >= kForgotten) return false;\n", "    if (idle_ < kForgotten) return false;\n", AIR_LINK_TEST),
     ("air: no relaying", AIR_LINK, "data.hops_left == 0 ||", "data.hops_left != 9 ||", AIR_LINK_TEST),
     ("air: answer to another command accepted", AIR_LINK, "phase_ == Phase::kIdle || data.origin != peer_ || data.message != message_) return;", "phase_ == Phase::kIdle || data.origin != peer_) return;", AIR_LINK_TEST),
     ("node: configuration not read back", CONFIGURATION, "shared_.platform.load_config(blob_) == blob.size() && wire::crc32(blob) == check;", "(check != 0 || !blob.empty());", NODE_TEST),

@@ -158,8 +158,8 @@ class Anchor final : public Station {
     phase_ = Phase::kResponse;
     return transmit(timestamp, frame.source, body, slot_place());
   }
-  // Listens for the slot's POLL. Listens to an unused slot for its whole length and into the next slot's POLL,
-  // because a frame there shows that another network is near.
+  // Listens for the slot's POLL. Listens to an unused slot for its whole length and into the next slot's
+  // POLL, because a frame there shows that another network is near.
   [[nodiscard]] Action listen_in_slot(ClockTime due) const noexcept {
     Action action = listen(SlotKind::kPoll, due, superframe().on_air(poll_bytes(superframe().responses())),
                            sync().margin(slots_of_));
