@@ -199,9 +199,8 @@ class Anchor final : public Station {
     return poll.superframe == slots_of_ && poll.slot == slot_ && owner != kNobody &&
            slots().may_poll(owner, slot_) && in_time(reception);
   }
-  // The sender of the next POLL in the present slot.
-  // The last one that polled in the slot: several tags may share it, or its owner has lent it. If nobody has
-  // for a while, the owner.
+  // The sender of the next POLL in the present slot: the one of its last POLL, because several tags may share
+  // the slot, or its owner has lent it. If there has been none for a while, the owner.
   [[nodiscard]] std::uint16_t expected_tag() const noexcept {
     const bool used = pollers_[slot_] != kNobody && silent_[slot_] < kSilent;
     return used ? pollers_[slot_] : slots().owner_of(slot_);

@@ -72,8 +72,7 @@ class Coexistence {
         hash_(hash),
         merge_requests_(site.network_key.empty() ? Pause(4, 8, 8) : Pause(1, 2, 8)) {}
 
-  // Starts the search, at power-up or when the time is lost.
-  // Listens for `rounds` rounds of relaying more before it starts a session.
+  // Starts the search, at power-up or when the time is lost. `rounds` as MasterElection::search().
   void search(ClockTime now, std::uint32_t rounds = 0) noexcept {
     suspected_.reset();
     lacking_ = displaces_older_ = false;
@@ -122,9 +121,9 @@ class Coexistence {
   [[nodiscard]] Verdict judge_unverified(std::uint16_t source, const Beacon& beacon) noexcept {
     return request_merge(of_this_schedule(beacon) && election_.is_credible(source, beacon));
   }
-  // In a network with a key, while not searching: judges a verified merge request.
-  // Aligned parts of one session: judge() decides by rank. Parts that have drifted apart: the one ahead
-  // stays, so that no count goes back.
+  // In a network with a key, while not searching: judges a verified merge request. Aligned parts of one
+  // session: judge() decides by rank. Parts that have drifted apart: the one ahead stays, so that no count
+  // goes back.
   [[nodiscard]] Verdict judge_merge_request(std::uint16_t source, const Beacon& beacon,
                                             Ticks ahead) noexcept {
     if (!election_.is_credible(source, beacon)) return Verdict::kStale;
@@ -150,6 +149,7 @@ class Coexistence {
   [[nodiscard]] bool lacking() const noexcept { return lacking_; }
 
   // While not searching: superframe `number` begins. `number` increases from call to call.
+  //
   // All nodes of a session scan in the same superframes, so that they do not drown out what they listen for.
   // A master mostly omits its beacon then, because two nodes that send at once do not hear each other. Scans
   // are random, because two sessions that scan at once do not hear each other either.
@@ -240,9 +240,9 @@ class Coexistence {
     election_.follow(source, beacon);
   }
   // Its session has dissolved: starts to search for the other session. `number`: of its last beacon.
-  // The next relay of the other session may be two rounds away, and more if it is the schedule's master,
-  // which has only every second turn of another rank.
   void leave_session(ClockTime now, std::uint32_t number) noexcept {
+    // The next relay of the other session may be two rounds away, and more if it is the schedule's master,
+    // which has only every second turn of another rank.
     constexpr std::uint32_t kRounds = 4;
     avoided_ = election_.session();
     avoided_master_ = election_.master();

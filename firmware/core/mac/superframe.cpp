@@ -3,9 +3,6 @@
 #include <algorithm>
 #include <array>
 #include <span>
-#include <type_traits>
-
-#include "firmware/core/mac/wire_enum.hpp"
 
 namespace groma::mac {
 namespace {

@@ -13,8 +13,10 @@
 #include <algorithm>
 #include <cstddef>
 #include <cstdint>
+#include <cstring>
 #include <optional>
 #include <span>
+#include <type_traits>
 
 #include "firmware/core/mac/frame.hpp"
 #include "firmware/core/radio/phy.hpp"
@@ -46,6 +48,15 @@ inline constexpr std::uint32_t kUsualGuard_us = 30;
 [[nodiscard]] constexpr std::uint32_t usual_gap_us(bool arm_ahead, bool secured) noexcept {
   if (arm_ahead) return 220;
   return secured ? 320 : 300;
+}
+
+// The number of an enumeration that was decoded from the wire. It may be none of the enumerators, and reading
+// it as an enumeration is then undefined behaviour.
+template <class E>
+[[nodiscard]] std::uint32_t number_of(const E& value) noexcept {
+  std::underlying_type_t<E> number{};
+  std::memcpy(&number, &value, sizeof number);
+  return static_cast<std::uint32_t>(number);
 }
 
 // The field that is not valid and its valid values, at most 63 characters; empty for a valid schedule.

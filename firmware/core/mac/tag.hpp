@@ -54,11 +54,8 @@ class Tag final : public Station {
   void choose_anchors() noexcept {
     AnchorSet& anchors = membership_.anchors();
     for (const Leg& leg : std::span(previous().legs).first(windows_over_)) {
-      if (leg.answered) {
-        anchors.on_answer(leg.anchor, link_quality(leg.quality));
-      } else {
-        anchors.on_silence(leg.anchor);
-      }
+      leg.answered ? anchors.on_answer(leg.anchor, link_quality(leg.quality))
+                   : anchors.on_silence(leg.anchor);
     }
     windows_over_ = 0;
     if (next_count_ != 0) return;

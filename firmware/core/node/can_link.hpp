@@ -5,9 +5,7 @@
 // frame, in or out. The cost of steps differs, and short ones fit between two frames on the air: see
 // step_us().
 //
-// When the controller goes bus-off, the queue is kept; the frames in the controller are lost, and the host
-// sees one damaged frame. The link waits 10 ms before it sends again, and twice as long after each further
-// bus-off, up to one second; after one second without bus-off it starts from 10 ms again.
+// docs/explanation/can.md has what happens on errors of the bus.
 #pragma once
 
 #include <algorithm>

@@ -7,7 +7,6 @@
 #include <array>
 #include <utility>
 
-#include "firmware/core/mac/wire_enum.hpp"
 #include "firmware/core/mcp2518fd/bit_timing.hpp"
 #include "firmware/core/security/block_cipher.hpp"
 #include "proto/crc32.hpp"
