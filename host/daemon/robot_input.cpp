@@ -8,8 +8,7 @@
 #include <cstddef>
 #include <utility>
 
-#include <nlohmann/json.hpp>
-
+#include "host/daemon/json_view.hpp"
 #include "host/io/error.hpp"
 #include "host/model/plausible.hpp"
 #include "host/model/pose.hpp"
@@ -17,33 +16,32 @@
 namespace groma::daemon {
 namespace {
 
-using InputJson = nlohmann::json;
-
 // False if the object has no finite number of that name.
-bool read_number(const InputJson& object, const char* name, double& out) {
-  const auto found = object.find(name);
-  if (found == object.end() || !found->is_number()) return false;
-  out = found->get<double>();
-  return std::isfinite(out);
+bool read_number(const JsonView& object, std::string_view name, double& out) {
+  const auto member = object.find(name);
+  const auto number = member ? member->number() : std::nullopt;
+  out = number.value_or(out);
+  return number.has_value();
 }
 
 // False if a covariance is given but invalid. Null terms are unknown: all six or none.
-bool read_covariance(const InputJson& object, std::optional<model::PoseCovariance>& out) {
-  const auto found = object.find("covariance");
-  if (found == object.end() || found->is_null()) return true;
+bool read_covariance(const JsonView& object, std::optional<model::PoseCovariance>& out) {
+  const auto member = object.find("covariance");
+  if (!member || member->is_null()) return true;
   constexpr std::size_t kAxes = 6;
   constexpr std::array<std::size_t, 3> kPlanar{0, 1, 5};
-  if (!found->is_array() || found->size() != kAxes * kAxes) return false;
+  std::array<double, kAxes * kAxes> terms{};
+  if (!member->numbers(terms)) return false;
   model::PoseCovariance covariance{};
   std::size_t known = 0;
   auto next = covariance.begin();
   for (std::size_t row = 0; row < kPlanar.size(); ++row) {
     for (std::size_t column = row; column < kPlanar.size(); ++column, ++next) {
-      const InputJson& term = (*found)[kAxes * kPlanar[row] + kPlanar[column]];
-      const InputJson& mirrored = (*found)[kAxes * kPlanar[column] + kPlanar[row]];
-      if (term.is_null() && mirrored.is_null()) continue;
-      if (!term.is_number() || term != mirrored) return false;
-      *next = term.get<double>();
+      const double term = terms.at(kAxes * kPlanar[row] + kPlanar[column]);
+      const double mirrored = terms.at(kAxes * kPlanar[column] + kPlanar[row]);
+      if (std::isnan(term) && std::isnan(mirrored)) continue;
+      if (term != mirrored) return false;
+      *next = term;
       ++known;
     }
   }
@@ -53,7 +51,7 @@ bool read_covariance(const InputJson& object, std::optional<model::PoseCovarianc
   return true;
 }
 
-std::optional<RobotMessage> read_odometry(const InputJson& object) {
+std::optional<RobotMessage> read_odometry(const JsonView& object) {
   model::OdometrySample sample;
   if (!read_number(object, "t_s", sample.t_s) || !read_number(object, "vx_mps", sample.vx_mps) ||
       !read_number(object, "vy_mps", sample.vy_mps) ||
@@ -64,29 +62,30 @@ std::optional<RobotMessage> read_odometry(const InputJson& object) {
 }
 
 // All keys except z_m.
-bool read_pose(const InputJson& object, model::PoseSample& out) {
+bool read_pose(const JsonView& object, model::PoseSample& out) {
   for (const auto& [key, value] : {std::pair{"roll_rad", &out.roll_rad}, {"pitch_rad", &out.pitch_rad}}) {
-    if (object.contains(key) && !object.at(key).is_null() && !read_number(object, key, *value)) return false;
+    const auto angle = object.find(key);
+    if (angle && !angle->is_null() && !read_number(object, key, *value)) return false;
   }
   return read_number(object, "t_s", out.t_s) && read_number(object, "x_m", out.x_m) &&
          read_number(object, "y_m", out.y_m) && read_number(object, "yaw_rad", out.yaw_rad) &&
          read_covariance(object, out.covariance);
 }
 
-std::optional<RobotMessage> read_pose_prior(const InputJson& object) {
+std::optional<RobotMessage> read_pose_prior(const JsonView& object) {
   model::PoseSample pose;
   if (!read_pose(object, pose) || !read_number(object, "z_m", pose.z_m) || !model::is_plausible(pose))
     return std::nullopt;
   return pose;
 }
 
-std::optional<RobotMessage> read_absolute_pose(const InputJson& object) {
+std::optional<RobotMessage> read_absolute_pose(const JsonView& object) {
   model::PoseSample pose;
   if (!read_pose(object, pose) || !pose.covariance || !model::is_plausible(pose)) return std::nullopt;
   return model::SensorSample(pose);
 }
 
-std::optional<RobotMessage> read_imu(const InputJson& object) {
+std::optional<RobotMessage> read_imu(const JsonView& object) {
   model::YawRateSample sample;
   if (!read_number(object, "t_s", sample.t_s) || !read_number(object, "omega_radps", sample.omega_radps)) {
     return std::nullopt;
@@ -94,24 +93,21 @@ std::optional<RobotMessage> read_imu(const InputJson& object) {
   return model::SensorSample(sample);
 }
 
-std::optional<RobotMessage> read_gnss(const InputJson& object) {
+std::optional<RobotMessage> read_gnss(const JsonView& object) {
   model::PositionSample sample;
   const auto covariance = object.find("covariance");
+  std::array<double, 4> terms{};
   if (!read_number(object, "t_s", sample.t_s) || !read_number(object, "x_m", sample.x_m) ||
-      !read_number(object, "y_m", sample.y_m) || covariance == object.end() || !covariance->is_array() ||
-      covariance->size() != 4) {
+      !read_number(object, "y_m", sample.y_m) || !covariance || !covariance->numbers(terms)) {
     return std::nullopt;
   }
-  const InputJson& terms = *covariance;
-  for (const InputJson& term : terms) {
-    if (!term.is_number()) return std::nullopt;
-  }
-  sample.covariance_m2 = {terms[0].get<double>(), terms[1].get<double>(), terms[3].get<double>()};
+  sample.covariance_m2 = {terms[0], terms[1], terms[3]};
+  // A null is NaN, and not plausible.
   if (terms[1] != terms[2] || !model::is_plausible(sample)) return std::nullopt;
   return model::SensorSample(sample);
 }
 
-std::optional<RobotMessage> read_zero_velocity(const InputJson& object) {
+std::optional<RobotMessage> read_zero_velocity(const JsonView& object) {
   model::ZeroVelocitySample sample;
   if (!read_number(object, "t_s", sample.t_s)) return std::nullopt;
   return model::SensorSample(sample);
@@ -121,7 +117,7 @@ struct MessageClass {
   std::string_view name;
   std::string_view needs;
   std::uint64_t RobotInputCounters::*counter;
-  std::optional<RobotMessage> (*read)(const InputJson& object);
+  std::optional<RobotMessage> (*read)(const JsonView& object);
 };
 
 constexpr std::array<MessageClass, 6> kClasses{{
@@ -138,10 +134,14 @@ constexpr std::array<MessageClass, 6> kClasses{{
 
 }  // namespace
 
+RobotInput::RobotInput() {
+  waiting_.reserve(kMaxLine + kReadSize);
+}
+
 void RobotInput::push(std::span<const std::uint8_t> bytes) {
   waiting_.erase(0, read_);
   read_ = 0;
-  waiting_.append(bytes.begin(), bytes.end());
+  waiting_.append(reinterpret_cast<const char*>(bytes.data()), bytes.size());
 }
 
 std::optional<RobotMessage> RobotInput::next() {
@@ -174,20 +174,19 @@ void RobotInput::reset() {
 }
 
 std::optional<RobotMessage> RobotInput::parse(std::string_view line) {
-  const InputJson object = InputJson::parse(line, nullptr, /*allow_exceptions=*/false);
-  if (!object.is_object()) {
+  const auto object = JsonView::parse(line);
+  if (!object || !object->is_object()) {
     drop(counters_.torn, fmt::format("not a JSON object: {}", io::shown(line)));
     return std::nullopt;
   }
-  const auto name = object.find("class");
-  const auto known = std::find_if(kClasses.begin(), kClasses.end(), [&](const MessageClass& of) {
-    return name != object.end() && *name == of.name;
-  });
+  const auto name = object->find("class");
+  const auto known = std::find_if(kClasses.begin(), kClasses.end(),
+                                  [&](const MessageClass& of) { return name && name->string() == of.name; });
   if (known == kClasses.end()) {
     drop(counters_.unknown_class, fmt::format("unknown class: {}", io::shown(line)));
     return std::nullopt;
   }
-  std::optional<RobotMessage> message = known->read(object);
+  std::optional<RobotMessage> message = known->read(*object);
   if (message) {
     ++(counters_.*known->counter);
   } else {

@@ -43,6 +43,10 @@ struct RobotInputCounters {
 class RobotInput {
  public:
   static constexpr std::size_t kMaxLine = 4096;
+  // With at most this many bytes at once, valid lines are read without the heap.
+  static constexpr std::size_t kReadSize = 4096;
+
+  RobotInput();
 
   // Appends bytes as they arrived. Then call next() until it returns nothing: it gives the messages of the
   // completed lines.

@@ -53,7 +53,10 @@ void Session::Node::on_log(const groma_Log& log) {
 
 Session::Session(SessionConfig config)
     : config_(std::move(config)),
-      robot_clock_({.max_error_s = config_.max_clock_error_s, .set_after_s = config_.clock_set_after_s}) {}
+      robot_clock_({.max_error_s = config_.max_clock_error_s, .set_after_s = config_.clock_set_after_s}) {
+  // One more than wait, and the two that the merger holds at a clock step.
+  waiting_.reserve(config_.max_waiting + 3);
+}
 
 std::size_t Session::add_node(std::string name, unsigned baud) {
   nodes_.emplace_back(*this, std::move(name), baud);
@@ -103,21 +106,16 @@ void Session::advance(double now_s) {
   if (!robot_now_s) return;
   pass_merged(merger_.flush_until(*robot_now_s));
   const double until_s = *robot_now_s - config_.reorder_lag_s;
-  while (!waiting_.empty() && waiting_.top().t_s <= until_s) {
-    const Waiting next = waiting_.top();
-    waiting_.pop();
-    deliver(next.sample);
-  }
+  while (!waiting_.empty() && waiting_.front().t_s <= until_s) deliver_first();
   passed_until_s_ = std::max(until_s, passed_until_s_.value_or(until_s));
 }
 
 void Session::flush() {
   pass_merged(merger_.flush());
   while (!waiting_.empty()) {
-    const Waiting next = waiting_.top();
-    waiting_.pop();
-    passed_until_s_ = std::max(next.t_s, passed_until_s_.value_or(next.t_s));
-    deliver(next.sample);
+    const double t_s = waiting_.front().t_s;
+    passed_until_s_ = std::max(t_s, passed_until_s_.value_or(t_s));
+    deliver_first();
   }
 }
 
@@ -247,15 +245,26 @@ void Session::enqueue(double t_s, const Sample& sample) {
     deliver(sample);
     return;
   }
-  waiting_.push({t_s, serial_++, sample});
+  push_waiting(t_s, sample);
   announce(sample);
   if (waiting_.size() > config_.max_waiting) {
     ++counters_.waiting_overflows;
-    const Waiting first = waiting_.top();
-    waiting_.pop();
-    passed_until_s_ = std::max(first.t_s, passed_until_s_.value_or(first.t_s));
-    deliver(first.sample);
+    const double first_s = waiting_.front().t_s;
+    passed_until_s_ = std::max(first_s, passed_until_s_.value_or(first_s));
+    deliver_first();
   }
+}
+
+void Session::push_waiting(double t_s, const Sample& sample) {
+  waiting_.push_back({t_s, serial_++, sample});
+  std::push_heap(waiting_.begin(), waiting_.end(), Later());
+}
+
+void Session::deliver_first() {
+  std::pop_heap(waiting_.begin(), waiting_.end(), Later());
+  const Waiting first = waiting_.back();
+  waiting_.pop_back();
+  deliver(first.sample);
 }
 
 void Session::deliver(const Sample& sample) {
@@ -304,17 +313,14 @@ void Session::clock_stepped() {
   // Waiting samples have times of the old clock. But if the step was found late, those with the robot's own
   // timestamps are of the new clock already.
   const bool found_late = robot_clock_.step_found_late();
-  for (const model::OdometrySample& held : merger_.flush()) waiting_.push({held.t_s, serial_++, held});
+  for (const model::OdometrySample& held : merger_.flush()) push_waiting(held.t_s, held);
   merger_.reset();
-  std::vector<Waiting> all;
-  for (; !waiting_.empty(); waiting_.pop()) all.push_back(waiting_.top());
-  for (Waiting& one : all) {
-    if (!found_late || std::holds_alternative<model::RangeSample>(one.sample)) {
-      one.t_s += step_s;
-      shift_time(one.sample, step_s);
-    }
-    waiting_.push(one);
+  for (Waiting& one : waiting_) {
+    if (found_late && !std::holds_alternative<model::RangeSample>(one.sample)) continue;
+    one.t_s += step_s;
+    shift_time(one.sample, step_s);
   }
+  std::make_heap(waiting_.begin(), waiting_.end(), Later());
   if (passed_until_s_) *passed_until_s_ += step_s;
   if (last_odometry_s_ && !found_late) *last_odometry_s_ += step_s;
   pose_times_ = {};
@@ -325,7 +331,7 @@ void Session::forget_times() {
   ++counters_.robot_clock_set;
   last_odometry_s_.reset();
   passed_until_s_.reset();
-  waiting_ = {};
+  waiting_.clear();
   merger_.reset();
   pose_times_ = {};
   sensor_times_ = {};

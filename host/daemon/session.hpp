@@ -21,7 +21,6 @@
 #include <functional>
 #include <limits>
 #include <optional>
-#include <queue>
 #include <span>
 #include <string>
 #include <string_view>
@@ -175,6 +174,9 @@ class Session {
   // Queues a sample by its time, or passes it on at once if later ones were passed on already. Requires a
   // known robot time.
   void enqueue(double t_s, const Sample& sample);
+  void push_waiting(double t_s, const Sample& sample);
+  // Passes on the earliest waiting sample.
+  void deliver_first();
   void deliver(const Sample& sample);
   void announce(const Sample& sample);
   void pass_merged(std::span<const model::OdometrySample> samples);
@@ -200,7 +202,7 @@ class Session {
   std::optional<double> dropped_since_s_;  // host time; all odometry has been dropped since
   bool drop_reported_ = false;
   double next_late_report_s_ = -std::numeric_limits<double>::infinity();  // host time
-  std::priority_queue<Waiting, std::vector<Waiting>, Later> waiting_;
+  std::vector<Waiting> waiting_;  // a heap, the earliest in front; its capacity is reserved
   std::uint64_t serial_ = 0;
   double now_s_ = 0.0;
   std::optional<double> passed_until_s_;  // robot time

@@ -516,14 +516,14 @@ TEST_F(Circle, PredictsWithoutTheHeapAndWithinItsBound) {
   localizer.on_odometry(odometry_at(0.0));
   localizer.on_pose_prior(prior(0.0));
   drive(localizer, 0.02, 2.0, true);
-  const std::size_t before = test::allocations();
+  const std::size_t before = groma::test::allocations();
   const std::size_t count_before = count;
   constexpr int kSamples = 2 * static_cast<int>(Localizer::kMaxAhead);
   for (int i = 0; i < kSamples; ++i) {
     localizer.on_odometry_ahead(odometry_at(2.0 + 1e-4 * i));
     localizer.on_sensor_ahead(model::YawRateSample{2.0 + 1e-4 * (i + 0.5), kOmega});
   }
-  EXPECT_EQ(test::allocations(), before);
+  EXPECT_EQ(groma::test::allocations(), before);
   EXPECT_EQ(count, count_before + kSamples);
   EXPECT_EQ(last.t_s, 2.0 + 1e-4 * (kSamples - 1));
   EXPECT_LT(std::hypot(last.x_m - truth(last.t_s).x_m, last.y_m - truth(last.t_s).y_m), 0.05);

@@ -5,9 +5,12 @@
 
 #include <array>
 #include <cmath>
+#include <span>
 #include <string>
 #include <string_view>
 #include <vector>
+
+#include "test/support/allocations.hpp"
 
 namespace groma::daemon {
 namespace {
@@ -211,6 +214,37 @@ TEST(RobotInput, DropsAndCountsInvalidLines) {
 
   push(input, std::string(kOdometry) + "\n");
   EXPECT_EQ(take_all(input).size(), 1U);
+}
+
+TEST(RobotInput, ReadsValidLinesWithoutTheHeap) {
+  const std::string covariance =
+      "[4,1,null,null,null,0.5, 1,9,null,null,null,0.25, null,null,null,null,null,null,"
+      "null,null,null,null,null,null, null,null,null,null,null,null, 0.5,0.25,null,null,null,1]";
+  std::string lines;
+  while (lines.size() < RobotInput::kReadSize) {
+    lines +=
+        R"({"class":"ODOMETRY","t_s":1764180750.1234567,"vx_mps":-0.12345678901234567,"vy_mps":1.25e-17,)"
+        R"("omega_radps":0.125,"a key that is ignored":{"text":["of any","length \u00e4"]}})"
+        "\n" +
+        pose_with(covariance) + R"({"class":"GNSS","t_s":2,"x_m":3,"y_m":4,"covariance":[0.5,0,0,0.25]})" +
+        "\n";
+  }
+  // Whole lines, of which the second push completes one.
+  lines.resize(lines.rfind('\n', RobotInput::kReadSize - 1) + 1);
+  const std::vector<std::uint8_t> bytes(lines.begin(), lines.end());
+  const std::size_t half = bytes.size() / 2;
+  RobotInput input;
+  std::size_t messages = 0;
+  const std::size_t before = groma::test::allocations();
+  for (int i = 0; i < 2; ++i) {
+    for (const auto part : {std::span(bytes).first(half), std::span(bytes).subspan(half)}) {
+      input.push(part);
+      while (input.next()) ++messages;
+    }
+  }
+  EXPECT_EQ(groma::test::allocations(), before);
+  EXPECT_GT(messages, 10U);
+  EXPECT_EQ(input.counters().dropped(), 0U);
 }
 
 TEST(RobotInput, BoundsItsMemoryForAnyInput) {
