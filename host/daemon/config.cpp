@@ -127,20 +127,21 @@ CalibrationSource parse_calibration_source(const YamlValue& yaml, const std::fil
   return source;
 }
 
-void parse_pose_stream(const YamlValue& yaml, Config& config) {
+// Keys that are absent keep their values.
+void parse_endpoint(const YamlValue& yaml, Endpoint& endpoint) {
   yaml.expect_keys({{}, {"address", "port"}});
   if (const auto address = yaml.find("address")) {
-    config.address = address->text();
+    endpoint.address = address->text();
     in_addr v4{};
     in6_addr v6{};
-    if (::inet_pton(AF_INET, config.address.c_str(), &v4) != 1 &&
-        ::inet_pton(AF_INET6, config.address.c_str(), &v6) != 1) {
+    if (::inet_pton(AF_INET, endpoint.address.c_str(), &v4) != 1 &&
+        ::inet_pton(AF_INET6, endpoint.address.c_str(), &v6) != 1) {
       address->fail("is not a numeric address",
                     "write 127.0.0.1 for this computer only, 0.0.0.0 for the network");
     }
   }
   if (const auto port = yaml.find("port")) {
-    config.port = static_cast<std::uint16_t>(port->integer(0, std::numeric_limits<std::uint16_t>::max()));
+    endpoint.port = static_cast<std::uint16_t>(port->integer(0, std::numeric_limits<std::uint16_t>::max()));
   }
 }
 
@@ -187,7 +188,7 @@ Config read_config(const std::filesystem::path& path) {
   const std::filesystem::path folder = path.parent_path();
   yaml.expect_keys(
       {{"schema", "nodes", "robot_socket", "tags", "odometry", "range", "surface", "calibration"},
-       {"imu", "gnss", "model", "pose_stream", "log", "reorder_lag_s", "speed"}});
+       {"imu", "gnss", "model", "pose_stream", "web", "log", "reorder_lag_s", "speed"}});
   if (yaml.at("schema").integer(0, std::numeric_limits<std::int64_t>::max()) != 1) {
     yaml.at("schema").fail("is not 1", "this program reads schema 1 only");
   }
@@ -201,7 +202,10 @@ Config read_config(const std::filesystem::path& path) {
   config.surface = io::parse_surface(yaml.at("surface"), folder, files);
   config.calibration = parse_calibration_source(yaml.at("calibration"), folder);
   if (const auto model = yaml.find("model")) config.model = parse_model(*model);
-  if (const auto stream = yaml.find("pose_stream")) parse_pose_stream(*stream, config);
+  if (const auto stream = yaml.find("pose_stream")) parse_endpoint(*stream, config.pose_stream);
+  if (const auto web = yaml.find("web")) {
+    parse_endpoint(*web, config.web.emplace(Endpoint{.address = "127.0.0.1", .port = 4722}));
+  }
   if (const auto log = yaml.find("log")) config.log = parse_path(*log, folder);
   if (const auto lag = yaml.find("reorder_lag_s")) {
     config.reorder_lag_s = parse_between(*lag, 0.0, kMaxReorderLag_s);

@@ -14,7 +14,8 @@
 //                                               # or {learn: true, file: ..., output: ...}: while driving
 //   model: schmidt                              # this key and all that follow are optional
 //   pose_stream: {address: 127.0.0.1, port: 4721}
-//   log: drive.glog                             # measurements are appended to this file
+//   web: {address: 127.0.0.1, port: 4722}       # counters for Prometheus at /metrics; default: no HTTP
+//   server log: drive.glog                             # measurements are appended to this file
 //   reorder_lag_s: 0.2
 //   imu: {sigma_omega_radps: 0.005, bias_sigma_radps: 0.01}  # the defaults
 //   gnss: {lever_arm_m: [0.4, -0.3, 1.5]}                    # default: the origin of base_link
@@ -29,6 +30,7 @@
 #include <string>
 #include <vector>
 
+#include "host/daemon/tcp_listener.hpp"
 #include "host/filter/config.hpp"
 #include "host/io/dataset.hpp"
 #include "host/model/surface.hpp"
@@ -58,8 +60,8 @@ struct Config {
   model::Surface surface;
   CalibrationSource calibration;
   filter::Model model = filter::Config{}.model;
-  std::string address = "127.0.0.1";
-  std::uint16_t port = 4721;
+  Endpoint pose_stream{.address = "127.0.0.1", .port = 4721};
+  std::optional<Endpoint> web;               // none: no HTTP server
   std::optional<std::filesystem::path> log;  // none: nothing is recorded
   double reorder_lag_s = 0.2;
   double speed = 1.0;

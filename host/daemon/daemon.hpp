@@ -1,25 +1,26 @@
-// The daemon: links, the real clock, a session and its sinks. One thread with one poll(2); only the
-// calibration solver and disk writes have threads of their own, so that links do not overflow meanwhile.
+// The daemon: the event loop, with links and robot as inputs, the pipeline, and the outputs that it gives
+// poses to. From byte to pose all is on the loop's thread; only the calibration solver and disk writes have
+// threads of their own, so that nothing overflows meanwhile.
 #pragma once
 
+#include <cstdint>
 #include <functional>
-#include <future>
 #include <memory>
 #include <optional>
 #include <string>
 #include <string_view>
 #include <vector>
 
-#include "host/calibration/calibrate.hpp"
-#include "host/daemon/anchor_learner.hpp"
-#include "host/daemon/calibration_drive.hpp"
 #include "host/daemon/config.hpp"
-#include "host/daemon/localizer.hpp"
+#include "host/daemon/event_loop.hpp"
+#include "host/daemon/link_input.hpp"
 #include "host/daemon/log_recorder.hpp"
-#include "host/daemon/pose_message.hpp"
+#include "host/daemon/metrics_text.hpp"
+#include "host/daemon/output.hpp"
+#include "host/daemon/pipeline.hpp"
 #include "host/daemon/pose_server.hpp"
-#include "host/daemon/session.hpp"
-#include "host/link/reconnecting_link.hpp"
+#include "host/daemon/site_calibrator.hpp"
+#include "host/daemon/web_server.hpp"
 
 namespace groma::daemon {
 
@@ -27,73 +28,58 @@ class Daemon {
  public:
   using Log = std::function<void(std::string_view)>;
 
-  // `calibration` is read from the file that the configuration names; none: a drive provides it.
-  Daemon(Config config, std::optional<model::Calibration> calibration, Log log);
+  // `calibration` is read from the file that the configuration names; none: a drive provides it. All times
+  // are those of `clock` multiplied by the configuration's `speed`.
+  Daemon(Config config, std::optional<model::Calibration> calibration, Log log,
+         const EventLoop::Clock& clock = EventLoop::monotonic_s);
   ~Daemon();
   Daemon(const Daemon&) = delete;
   Daemon& operator=(const Daemon&) = delete;
 
-  // Opens the pose stream and all links; returns the error of the first that cannot be opened. Later a lost
-  // link is reopened at growing intervals. Throws as LogRecorder does if a log is configured.
+  // Opens the pose stream, the web server and all links, and begins to calibrate or localize; returns the
+  // error of the first that cannot be opened. Later a lost link is reopened at growing intervals. Throws as
+  // LogRecorder does if a log is configured.
   [[nodiscard]] link::LinkError open();
 
   // Serves until stop_fd is readable. False: the drive gave no usable calibration. Throws as io::write_file()
   // does if the calibration cannot be written.
   [[nodiscard]] bool run(int stop_fd);
+  // Serves what is ready and due, without waiting: for a caller with a clock of its own.
+  void poll() { loop_.poll(); }
+
+  [[nodiscard]] std::uint16_t pose_port() const noexcept { return pose_server_->port(); }
 
  private:
-  struct Input {
-    std::string name;
-    link::ReconnectingLink link;
-    bool is_robot = false;
-    std::size_t node = 0;      // index in the session, except for the robot
-    std::string logged_error;  // the error logged last
-  };
-
-  [[nodiscard]] double now_s() const;
-  void wait(int stop_fd, bool& stop);
-  void service(Input& input);
-  void read(Input& input);
-  void log_news(Input& input);
-  void opened(Input& input);
-  // False: the drive gave no usable calibration.
-  [[nodiscard]] bool calibrate();
-  void localize(model::Calibration calibration);
-  // Runs calibration while driving: adopts, logs and writes its results.
-  void learn();
-  void use_calibrated();
-  void write_calibrated();
-  void finish_learning();
-  void learn_from(const PoseEstimate& settled);
+  void add_node(std::size_t node);
+  void add_robot();
+  [[nodiscard]] link::LinkError open_servers();
+  void tick();
   void publish(const PoseEstimate& pose);
+  void publish_status();
+  void publish_line(std::string_view line);
   void request_times();
   void record();
-  void publish_status();
-  void report_implausible();
-  void report_finding();
-  [[nodiscard]] std::string_view state() const;
-  [[nodiscard]] Status status() const;
+  // The text of /metrics.
+  [[nodiscard]] std::string_view metrics();
+  void add_links(MetricsText& text) const;
+  void add_outputs(MetricsText& text) const;
 
   Config config_;
   Log log_;
-  std::optional<model::Calibration> calibration_;
-  Session session_;
-  std::vector<Input> inputs_;
-  std::unique_ptr<PoseServer> server_;
+  EventLoop loop_;
+  Pipeline pipeline_;
+  std::vector<std::unique_ptr<LinkInput>> inputs_;  // the nodes in their order, then the robot
+  std::vector<std::unique_ptr<Output>> outputs_;
+  PoseServer* pose_server_ = nullptr;  // one of them
+  std::unique_ptr<WebServer> web_server_;
   std::unique_ptr<LogRecorder> recorder_;
-  std::unique_ptr<CalibrationDrive> drive_;
-  std::future<calibration::Result> solution_;
-  std::unique_ptr<AnchorLearner> learner_;
-  bool to_write_ = false;             // the current calibration is not in its file yet
-  std::future<std::string> writing_;  // the error; empty: written
-  std::unique_ptr<Localizer> localizer_;
-  std::string frame_ = "map";
-  std::optional<std::pair<filter::State, filter::Reason>> pose_state_;
-  std::uint64_t reported_implausible_ = 0;  // samples
-  bool has_finding_ = false;
-  double last_pose_s_ = 0.0;          // host time
-  double next_time_request_s_ = 0.0;  // host time
-  double next_status_s_ = 0.0;        // host time
+  std::optional<model::Calibration> known_;   // of the file, until open()
+  std::optional<SiteCalibrator> calibrator_;  // from open() on
+  double arrival_s_ = 0.0;                    // of what the pipeline is taking
+  LatencyHistogram pose_latency_;
+  std::string metrics_;
+  double metrics_until_s_ = 0.0;
+  std::vector<std::unique_ptr<EventLoop::Timer>> timers_;
 };
 
 }  // namespace groma::daemon

@@ -1,124 +1,80 @@
 #include "host/daemon/pose_server.hpp"
 
-#include <fmt/format.h>
-#include <netdb.h>
-#include <netinet/in.h>
-#include <netinet/tcp.h>
 #include <sys/socket.h>
 
-#include <algorithm>
 #include <array>
 #include <cerrno>
-#include <system_error>
 #include <utility>
 
 namespace groma::daemon {
-namespace {
 
-struct AddressDeleter {
-  void operator()(addrinfo* found) const noexcept { ::freeaddrinfo(found); }
+struct PoseServer::Client {
+  Client(PoseServer& server, EventLoop& loop, io::Descriptor socket)
+      : fd(std::move(socket)),
+        watch(
+            loop, fd.get(), [&server, this] { server.read(*this); },
+            [&server, this] {
+              server.send_waiting(*this);
+              server.remove_gone();
+            }) {}
+
+  io::Descriptor fd;
+  EventLoop::Watch watch;
+  std::string waiting;
+  bool gone = false;
 };
 
-link::LinkError explain(const std::string& address, std::uint16_t port, int error) {
-  const std::string where = fmt::format("{} port {}", address, port);
-  switch (error) {
-    case EADDRINUSE:
-      return {link::LinkFault::kBusy,
-              fmt::format("{}: in use by another program; stop it or set another pose_stream port", where)};
-    case EACCES:
-    case EPERM:
-      return {link::LinkFault::kPermission,
-              fmt::format("{}: not permitted; set a pose_stream port above 1023", where)};
-    case EADDRNOTAVAIL:
-      return {link::LinkFault::kNoDevice,
-              fmt::format("{}: not an address of this computer; set another pose_stream address", where)};
-    default:
-      return {link::LinkFault::kUnsuitable, fmt::format("{}: cannot listen ({}); set another pose_stream",
-                                                        where, std::generic_category().message(error))};
-  }
+PoseServer::Opened PoseServer::open(EventLoop& loop, const Endpoint& endpoint, std::string greeting) {
+  std::unique_ptr<PoseServer> server(new PoseServer(std::move(greeting)));
+  TcpListener::Opened opened =
+      TcpListener::open(loop, endpoint, "pose_stream",
+                        [&loop, &to = *server](io::Descriptor client) { to.add(loop, std::move(client)); });
+  if (!opened.listener) return {nullptr, std::move(opened.error)};
+  server->listener_ = std::move(opened.listener);
+  return {std::move(server), {}};
 }
 
-std::uint16_t bound_port(int fd) {
-  sockaddr_storage bound{};
-  socklen_t size = sizeof(bound);
-  if (::getsockname(fd, reinterpret_cast<sockaddr*>(&bound), &size) != 0) return 0;
-  // IPv4 and IPv6 have the port at the same offset.
-  return ntohs(reinterpret_cast<const sockaddr_in*>(&bound)->sin_port);
+PoseServer::PoseServer(std::string greeting) : greeting_(std::move(greeting)) {}
+
+PoseServer::~PoseServer() = default;
+
+std::size_t PoseServer::waiting_bytes() const noexcept {
+  std::size_t bytes = 0;
+  for (const auto& client : clients_) bytes += client->waiting.size();
+  return bytes;
 }
 
-}  // namespace
-
-PoseServer::Opened PoseServer::open(const std::string& address, std::uint16_t port, std::string greeting) {
-  addrinfo hints{};
-  hints.ai_flags = AI_NUMERICHOST | AI_NUMERICSERV | AI_PASSIVE;
-  hints.ai_socktype = SOCK_STREAM;
-  addrinfo* raw = nullptr;
-  if (::getaddrinfo(address.c_str(), std::to_string(port).c_str(), &hints, &raw) != 0) {
-    return {nullptr, explain(address, port, EADDRNOTAVAIL)};
+void PoseServer::add(EventLoop& loop, io::Descriptor fd) {
+  if (clients_.size() == kMaxClients) {
+    ++counters_.refused;
+    return;
   }
-  const std::unique_ptr<addrinfo, AddressDeleter> found(raw);
-  io::Descriptor listener(::socket(found->ai_family, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0));
-  const int on = 1;
-  if (!listener.valid() || ::setsockopt(listener.get(), SOL_SOCKET, SO_REUSEADDR, &on, sizeof(on)) != 0 ||
-      ::bind(listener.get(), found->ai_addr, found->ai_addrlen) != 0 || ::listen(listener.get(), 16) != 0) {
-    return {nullptr, explain(address, port, errno)};
-  }
-  const std::uint16_t bound = bound_port(listener.get());
-  return {std::unique_ptr<PoseServer>(new PoseServer(std::move(listener), bound, std::move(greeting))), {}};
+  ++counters_.accepted;
+  clients_.push_back(std::make_unique<Client>(*this, loop, std::move(fd)));
+  queue(*clients_.back(), greeting_);
+  remove_gone();
 }
 
-PoseServer::PoseServer(io::Descriptor listener, std::uint16_t port, std::string greeting)
-    : listener_(std::move(listener)), port_(port), greeting_(std::move(greeting)) {}
-
-void PoseServer::append_poll(std::vector<pollfd>& out) const {
-  out.push_back({listener_.get(), POLLIN, 0});
-  for (const Client& client : clients_) {
-    const int events = client.waiting.empty() ? POLLIN : POLLIN | POLLOUT;
-    out.push_back({client.fd.get(), static_cast<short>(events), 0});
-  }
+void PoseServer::on_line(std::string_view line) {
+  for (const auto& client : clients_) queue(*client, line);
+  remove_gone();
 }
 
-void PoseServer::service() {
-  accept_clients();
-  std::array<char, 512> ignored{};
-  for (Client& client : clients_) {
-    // Data from clients is read and ignored, to detect a disconnect. The amount is bounded, so that a client
-    // that sends without end does not delay the others.
-    const ssize_t n = ::recv(client.fd.get(), ignored.data(), ignored.size(), 0);
-    if (n == 0 || (n < 0 && errno != EAGAIN && errno != EINTR)) {
-      drop(client, counters_.disconnected);
-    } else {
-      send_waiting(client);
-    }
-  }
-  std::erase_if(clients_, [](const Client& client) { return client.gone; });
-}
-
-void PoseServer::broadcast(std::string_view line) {
-  for (Client& client : clients_) queue(client, line);
-  std::erase_if(clients_, [](const Client& client) { return client.gone; });
-}
-
-void PoseServer::accept_clients() {
-  while (true) {
-    io::Descriptor fd(::accept4(listener_.get(), nullptr, nullptr, SOCK_NONBLOCK | SOCK_CLOEXEC));
-    if (!fd.valid()) return;
-    if (clients_.size() == kMaxClients) {
-      ++counters_.refused;
-      continue;
-    }
-    const int on = 1;
-    ::setsockopt(fd.get(), IPPROTO_TCP, TCP_NODELAY, &on, sizeof(on));
-    ++counters_.accepted;
-    clients_.push_back({.fd = std::move(fd), .waiting = {}});
-    queue(clients_.back(), greeting_);
-  }
+// Data from clients is read and ignored, to detect a disconnect. The amount is bounded, so that a client that
+// sends without end does not delay the others.
+void PoseServer::read(Client& client) {
+  std::array<char, 16384> ignored{};
+  const ssize_t n = ::recv(client.fd.get(), ignored.data(), ignored.size(), 0);
+  if (n == 0 || (n < 0 && errno != EAGAIN && errno != EINTR)) drop(client, counters_.disconnected);
+  remove_gone();
 }
 
 void PoseServer::queue(Client& client, std::string_view line) {
   if (client.gone) return;
+  // While bytes wait, the loop sends them as soon as the client can take some.
+  const bool waited = !client.waiting.empty();
   client.waiting += line;
-  send_waiting(client);
+  if (!waited) send_waiting(client);
   if (!client.gone && client.waiting.size() > kMaxBacklog) drop(client, counters_.too_slow);
 }
 
@@ -135,11 +91,16 @@ void PoseServer::send_waiting(Client& client) {
     sent += static_cast<std::size_t>(n);
   }
   client.waiting.erase(0, sent);
+  if (!client.gone && !client.waiting.empty()) client.watch.await_writable();
 }
 
 void PoseServer::drop(Client& client, std::uint64_t& counter) {
   client.gone = true;
   ++counter;
+}
+
+void PoseServer::remove_gone() {
+  std::erase_if(clients_, [](const auto& client) { return client->gone; });
 }
 
 }  // namespace groma::daemon

@@ -1,7 +1,5 @@
-// Sends lines to TCP clients and never waits for any of them.
+// The pose stream: sends lines to TCP clients and never waits for any of them.
 #pragma once
-
-#include <poll.h>
 
 #include <cstddef>
 #include <cstdint>
@@ -10,6 +8,9 @@
 #include <string_view>
 #include <vector>
 
+#include "host/daemon/event_loop.hpp"
+#include "host/daemon/output.hpp"
+#include "host/daemon/tcp_listener.hpp"
 #include "host/io/descriptor.hpp"
 #include "host/link/byte_link.hpp"
 
@@ -22,7 +23,7 @@ struct PoseServerCounters {
   std::uint64_t too_slow = 0;      // dropped by the server
 };
 
-class PoseServer {
+class PoseServer : public Output {
  public:
   static constexpr std::size_t kMaxClients = 64;
   static constexpr std::size_t kMaxBacklog = 262'144;  // bytes that may wait for one client
@@ -31,37 +32,34 @@ class PoseServer {
     std::unique_ptr<PoseServer> server;
     link::LinkError error;
   };
-  // address: numeric, IPv4 or IPv6; port 0: any free one. `greeting` is the first line to each client.
-  [[nodiscard]] static Opened open(const std::string& address, std::uint16_t port, std::string greeting);
+  // `greeting` is the first line to each client. The loop has to outlive the server.
+  [[nodiscard]] static Opened open(EventLoop& loop, const Endpoint& endpoint, std::string greeting);
+  ~PoseServer() override;
 
-  [[nodiscard]] std::uint16_t port() const noexcept { return port_; }
+  [[nodiscard]] std::uint16_t port() const noexcept { return listener_->port(); }
   [[nodiscard]] std::size_t client_count() const noexcept { return clients_.size(); }
+  // Bytes that wait for clients.
+  [[nodiscard]] std::size_t waiting_bytes() const noexcept;
   [[nodiscard]] const PoseServerCounters& counters() const noexcept { return counters_; }
 
-  // Appends the descriptors and events to poll for.
-  void append_poll(std::vector<pollfd>& out) const;
-  // Accepts new clients, removes those that left, sends waiting bytes. Never blocks.
-  void service();
+  void on_pose(const PoseEstimate& /*pose*/, std::string_view line) override { on_line(line); }
   // Sends to all clients; drops a client with more than kMaxBacklog bytes waiting.
-  void broadcast(std::string_view line);
+  void on_line(std::string_view line) override;
 
  private:
-  struct Client {
-    io::Descriptor fd;
-    std::string waiting;
-    bool gone = false;
-  };
+  struct Client;
 
-  PoseServer(io::Descriptor listener, std::uint16_t port, std::string greeting);
-  void accept_clients();
+  explicit PoseServer(std::string greeting);
+  void add(EventLoop& loop, io::Descriptor fd);
+  void read(Client& client);
   void queue(Client& client, std::string_view line);
   void send_waiting(Client& client);
   void drop(Client& client, std::uint64_t& counter);
+  void remove_gone();
 
-  io::Descriptor listener_;
-  std::uint16_t port_;
+  std::unique_ptr<TcpListener> listener_;
   std::string greeting_;
-  std::vector<Client> clients_;
+  std::vector<std::unique_ptr<Client>> clients_;
   PoseServerCounters counters_;
 };
 

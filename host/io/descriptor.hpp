@@ -25,6 +25,8 @@ class Descriptor {
 
   [[nodiscard]] int get() const noexcept { return fd_; }
   [[nodiscard]] bool valid() const noexcept { return fd_ >= 0; }
+  // The descriptor, which this no longer owns.
+  [[nodiscard]] int release() noexcept { return std::exchange(fd_, -1); }
   // Like ::close(); 0 if it is already closed.
   int close() noexcept {
     const int fd = std::exchange(fd_, -1);

@@ -7,6 +7,8 @@
 #include <memory>
 #include <span>
 #include <string>
+#include <string_view>
+#include <vector>
 
 namespace groma::link {
 
@@ -30,6 +32,12 @@ struct ReadResult {
   bool gone = false;  // the link has ended: close it and reopen it if needed
 };
 
+// How often something happened on a link since it was opened; the name is a word with underscores.
+struct LinkEvent {
+  std::string_view name;
+  std::uint64_t count = 0;
+};
+
 // An open link. Reading and writing never block; destruction closes it. Not thread-safe.
 class ByteLink {
  public:
@@ -48,6 +56,9 @@ class ByteLink {
 
   // Events of the link since the last call that a user should know of, on one line; usually empty.
   [[nodiscard]] virtual std::string take_news() { return {}; }
+
+  // What the link counts, for monitoring; usually nothing.
+  [[nodiscard]] virtual std::vector<LinkEvent> events() const { return {}; }
 
  protected:
   ByteLink() = default;

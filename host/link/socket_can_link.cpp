@@ -268,6 +268,16 @@ std::string SocketCanLink::take_news() {
   return std::exchange(news_, {});
 }
 
+std::vector<LinkEvent> SocketCanLink::events() const {
+  return {{"can_frames", counters_.frames},
+          {"can_frames_overrun", counters_.frames_overrun},
+          {"can_error_frames", counters_.error_frames},
+          {"can_controller_overruns", counters_.controller_overruns},
+          {"can_error_passive", counters_.error_passive},
+          {"can_bus_off", counters_.bus_off},
+          {"can_restarts", counters_.restarts}};
+}
+
 // linux/can/error.h
 void SocketCanLink::take_error(const can_frame& frame) {
   ++counters_.error_frames;

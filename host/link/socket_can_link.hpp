@@ -9,6 +9,7 @@
 #include <cstdint>
 #include <span>
 #include <string>
+#include <vector>
 
 #include "host/link/byte_link.hpp"
 #include "host/link/can_path.hpp"
@@ -38,6 +39,7 @@ class SocketCanLink : public ByteLink {
   // Sends frames of the link's format; returns how many bytes fit the interface's queue.
   [[nodiscard]] std::size_t write(std::span<const std::uint8_t> bytes) override;
   [[nodiscard]] std::string take_news() override;
+  [[nodiscard]] std::vector<LinkEvent> events() const override;
 
   [[nodiscard]] const CanCounters& counters() const noexcept { return counters_; }
 

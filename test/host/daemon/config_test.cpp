@@ -12,7 +12,7 @@
 namespace groma::daemon {
 namespace {
 
-using test::TemporaryFolder;
+using groma::test::TemporaryFolder;
 using ::testing::HasSubstr;
 
 constexpr const char* kGood = R"(schema: 1
@@ -98,8 +98,8 @@ TEST_F(ConfigFile, ReadsEachKey) {
   EXPECT_EQ(config.calibration.drive_s, 120.0);
   EXPECT_EQ(config.calibration.output, folder_ / "kept.yaml");
   EXPECT_EQ(config.model, filter::Model::kInflated);
-  EXPECT_EQ(config.address, "::1");
-  EXPECT_EQ(config.port, 4000);
+  EXPECT_EQ(config.pose_stream.address, "::1");
+  EXPECT_EQ(config.pose_stream.port, 4000);
   EXPECT_EQ(config.reorder_lag_s, 0.3);
   EXPECT_EQ(config.speed, 4.0);
   EXPECT_EQ(config.filter_config().range_sigma_m, 0.12);
@@ -110,9 +110,23 @@ TEST_F(ConfigFile, ServesOnlyThisComputerByDefault) {
   std::string text = kGood;
   text.resize(text.find("model:"));
   const Config config = read(text);
-  EXPECT_EQ(config.address, "127.0.0.1");
+  EXPECT_EQ(config.pose_stream.address, "127.0.0.1");
+  EXPECT_EQ(config.pose_stream.port, 4721);
+  EXPECT_FALSE(config.web);
   EXPECT_EQ(config.speed, 1.0);
   EXPECT_EQ(config.model, filter::Config{}.model);
+}
+
+TEST_F(ConfigFile, ReadsTheWebServer) {
+  Config config = read(std::string(kGood) + "web: {}\n");
+  ASSERT_TRUE(config.web);
+  EXPECT_EQ(config.web->address, "127.0.0.1");
+  EXPECT_EQ(config.web->port, 4722);
+  config = read(std::string(kGood) + "web: {address: 0.0.0.0, port: 80}\n");
+  EXPECT_EQ(config.web->address, "0.0.0.0");
+  EXPECT_EQ(config.web->port, 80);
+  EXPECT_THAT(error_with("speed: 4", "web: {address: localhost}"), HasSubstr("web.address"));
+  EXPECT_THAT(error_with("speed: 4", "web: {prot: 80}"), HasSubstr("prot"));
 }
 
 TEST_F(ConfigFile, NamesThePlaceOfEachMistake) {

@@ -1,10 +1,7 @@
 // gromad as a process, and a client of its pose stream, for tests. GROMAD_PATH is the program.
 #pragma once
 
-#include <arpa/inet.h>
 #include <fcntl.h>
-#include <netinet/in.h>
-#include <sys/socket.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -20,6 +17,7 @@
 #include <nlohmann/json.hpp>
 
 #include "host/io/descriptor.hpp"
+#include "test/host/daemon/tcp_client.hpp"
 
 namespace groma::daemon::test {
 
@@ -96,22 +94,10 @@ class Gromad {
 // Objects of the pose stream.
 class StreamClient {
  public:
-  explicit StreamClient(std::uint16_t port) : fd_(::socket(AF_INET, SOCK_STREAM, 0)) {
-    sockaddr_in address{};
-    address.sin_family = AF_INET;
-    address.sin_port = htons(port);
-    address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
-    if (::connect(fd_.get(), reinterpret_cast<const sockaddr*>(&address), sizeof(address)) != 0) {
-      throw std::runtime_error("connect");
-    }
-  }
+  explicit StreamClient(std::uint16_t port) : client_(port) {}
 
   std::vector<nlohmann::json> read() {
-    char buffer[4096];
-    ssize_t n = 0;
-    while ((n = ::recv(fd_.get(), buffer, sizeof(buffer), MSG_DONTWAIT)) > 0) {
-      text_.append(buffer, static_cast<std::size_t>(n));
-    }
+    text_ += client_.receive();
     std::vector<nlohmann::json> objects;
     std::size_t end = 0;
     while ((end = text_.find('\n')) != std::string::npos) {
@@ -122,17 +108,21 @@ class StreamClient {
   }
 
  private:
-  io::Descriptor fd_;
+  TcpClient client_;
   std::string text_;
 };
 
-// The port of gromad's pose stream, once its log names it.
-inline std::optional<std::uint16_t> pose_stream_port(Gromad& gromad) {
-  const std::string key = "pose stream on 127.0.0.1 port ";
+// The port of that server, once gromad's log names it.
+inline std::optional<std::uint16_t> port_in_log(Gromad& gromad, const std::string& server) {
+  const std::string key = server + " on 127.0.0.1 port ";
   const std::string& log = gromad.log();
   const std::size_t at = log.find(key);
   if (at == std::string::npos || log.find('\n', at) == std::string::npos) return std::nullopt;
   return static_cast<std::uint16_t>(std::stoi(log.substr(at + key.size())));
+}
+
+inline std::optional<std::uint16_t> pose_stream_port(Gromad& gromad) {
+  return port_in_log(gromad, "pose stream");
 }
 
 }  // namespace groma::daemon::test

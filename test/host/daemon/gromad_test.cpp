@@ -24,7 +24,9 @@
 #include "host/model/calibration.hpp"
 #include "proto/frame_codec.hpp"
 #include "test/host/daemon/gromad_process.hpp"
+#include "test/host/daemon/prometheus_parser.hpp"
 #include "test/host/daemon/simulated_site.hpp"
+#include "test/host/daemon/tcp_client.hpp"
 #include "test/host/daemon/temporary_folder.hpp"
 #include "test/support/child_process.hpp"
 
@@ -35,6 +37,7 @@ using groma::test::TemporaryFolder;
 using nlohmann::json;
 using test::Gromad;
 using test::kPatience;
+using test::port_in_log;
 using test::pose_stream_port;
 using test::SimulatedSite;
 using test::StreamClient;
@@ -451,6 +454,28 @@ TEST_F(GromadTest, CalibratesASiteFromNothingAndReadsItAgain) {
   ASSERT_TRUE(run_until(site, again, [&] { return again.log().find("localizes with") != std::string::npos; }))
       << again.log();
   EXPECT_THAT(again.log(), HasSubstr("from the filter's poses"));
+}
+
+TEST_F(GromadTest, ServesItsCounters) {
+  SimulatedSite site(folder_.path(), kSpeed);
+  write_surveyed(site);
+  const std::string text = config_text("{file: calibration.yaml}") + "web: {port: 0}\n";
+  Gromad gromad({"--config", folder_.write("gromad.yaml", text).string()});
+  ASSERT_TRUE(run_until(site, gromad, [&] { return poses("TRACKING") >= 50; })) << gromad.log();
+  const auto port = port_in_log(gromad, "web server");
+  ASSERT_TRUE(port);
+  test::TcpClient client(*port);
+  ASSERT_TRUE(client.send("GET /metrics HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n"));
+  std::string answer;
+  ASSERT_TRUE(run_until(site, gromad, [&] {
+    answer += client.receive();
+    return client.ended();
+  })) << gromad.log();
+  EXPECT_THAT(answer, ::testing::StartsWith("HTTP/1.1 200 OK\r\n"));
+  const auto metrics = test::PrometheusParser::parse(answer.substr(answer.find("\r\n\r\n") + 4));
+  EXPECT_GE(metrics.at("groma_pose_latency_seconds").samples.at("groma_pose_latency_seconds_count").at({}),
+            50.0);
+  EXPECT_EQ(metrics.at("groma_stream_clients").samples.at("groma_stream_clients").at({}), 1.0);
 }
 
 TEST_F(GromadTest, EndsWithTheExitCodeOfTheFault) {

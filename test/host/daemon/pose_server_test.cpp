@@ -1,147 +1,169 @@
 #include "host/daemon/pose_server.hpp"
 
-#include <arpa/inet.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
-#include <netinet/in.h>
-#include <sys/socket.h>
+#include <sys/resource.h>
 #include <unistd.h>
 
-#include <chrono>
 #include <limits>
+#include <memory>
+#include <stdexcept>
 #include <string>
-#include <thread>
+#include <utility>
+#include <vector>
 
 #include <nlohmann/json.hpp>
 
 #include "host/daemon/pose_message.hpp"
+#include "test/host/daemon/tcp_client.hpp"
 
 namespace groma::daemon {
 namespace {
 
 using nlohmann::json;
+using test::TcpClient;
 
-class Client {
- public:
-  explicit Client(std::uint16_t port, int receive_buffer = 0) : fd_(::socket(AF_INET, SOCK_STREAM, 0)) {
-    if (receive_buffer > 0) {
-      ::setsockopt(fd_.get(), SOL_SOCKET, SO_RCVBUF, &receive_buffer, sizeof(receive_buffer));
-    }
-    sockaddr_in address{};
-    address.sin_family = AF_INET;
-    address.sin_port = htons(port);
-    address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
-    connected = ::connect(fd_.get(), reinterpret_cast<const sockaddr*>(&address), sizeof(address)) == 0;
+class PoseServerTest : public ::testing::Test {
+ protected:
+  PoseServer& open(const std::string& greeting) {
+    PoseServer::Opened opened = PoseServer::open(loop_, {.address = "127.0.0.1", .port = 0}, greeting);
+    server_ = std::move(opened.server);
+    if (!server_) throw std::runtime_error(opened.error.message);
+    return *server_;
   }
-  // Returns the first bytes that come within 0.1 s.
-  std::string read() {
-    std::string text;
-    for (int i = 0; i < 20; ++i) {
-      char buffer[4096];
-      ssize_t n = 0;
-      while ((n = ::recv(fd_.get(), buffer, sizeof(buffer), MSG_DONTWAIT)) > 0) {
-        text.append(buffer, static_cast<std::size_t>(n));
-      }
-      ended = n == 0;
-      if (!text.empty() || ended) break;
-      std::this_thread::sleep_for(std::chrono::milliseconds(5));
-    }
-    return text;
-  }
-  void close() { fd_.close(); }
-  [[nodiscard]] int fd() const { return fd_.get(); }
 
-  bool connected = false;
-  bool ended = false;
-
- private:
-  io::Descriptor fd_;
+  EventLoop loop_;
+  std::unique_ptr<PoseServer> server_;
 };
 
-void settle(PoseServer& server) {
-  for (int i = 0; i < 10; ++i) {
-    server.service();
-    std::this_thread::sleep_for(std::chrono::milliseconds(2));
-  }
-}
-
-TEST(PoseServer, GreetsAndServesEachClient) {
-  auto opened = PoseServer::open("127.0.0.1", 0, "hello\n");
-  ASSERT_TRUE(opened.server) << opened.error.message;
-  PoseServer& server = *opened.server;
-  Client first(server.port());
-  Client second(server.port());
-  ASSERT_TRUE(first.connected && second.connected);
-  settle(server);
-  EXPECT_EQ(first.read(), "hello\n");
-  server.broadcast("a\n");
-  server.broadcast("b\n");
-  EXPECT_EQ(first.read(), "a\nb\n");
-  EXPECT_EQ(second.read(), "hello\na\nb\n");
+TEST_F(PoseServerTest, GreetsAndServesEachClient) {
+  PoseServer& server = open("hello\n");
+  TcpClient first(server.port());
+  TcpClient second(server.port());
+  loop_.poll();
+  EXPECT_EQ(first.receive(), "hello\n");
+  server.on_line("a\n");
+  server.on_line("b\n");
+  EXPECT_EQ(first.receive(), "a\nb\n");
+  EXPECT_EQ(second.receive(), "hello\na\nb\n");
   first.close();
-  settle(server);
+  loop_.poll();
   EXPECT_EQ(server.client_count(), 1U);
   EXPECT_EQ(server.counters().disconnected, 1U);
-  server.broadcast("c\n");
-  EXPECT_EQ(second.read(), "c\n");
+  server.on_line("c\n");
+  EXPECT_EQ(second.receive(), "c\n");
 }
 
-TEST(PoseServer, DoesNotWaitForASlowClient) {
-  auto opened = PoseServer::open("127.0.0.1", 0, "");
-  ASSERT_TRUE(opened.server);
-  PoseServer& server = *opened.server;
-  Client slow(server.port(), 4096);
-  Client quick(server.port());
-  settle(server);
+TEST_F(PoseServerTest, DoesNotWaitForASlowClient) {
+  PoseServer& server = open("");
+  TcpClient slow(server.port(), 4096);
+  TcpClient quick(server.port());
+  loop_.poll();
   const std::string line(1000, 'x');
   std::size_t received = 0;
   // The slow client reads nothing: its socket buffers, then its backlog fill up.
   for (int i = 0; i < 20'000 && server.client_count() == 2; ++i) {
-    server.broadcast(line + "\n");
-    server.service();
-    received += quick.read().size();
+    server.on_line(line + "\n");
+    loop_.poll();
+    received += quick.receive().size();
   }
   EXPECT_EQ(server.counters().too_slow, 1U);
   EXPECT_EQ(server.client_count(), 1U);
   EXPECT_GT(received, PoseServer::kMaxBacklog);
 }
 
-TEST(PoseServer, IgnoresDataFromAClient) {
-  auto opened = PoseServer::open("127.0.0.1", 0, "");
-  ASSERT_TRUE(opened.server);
-  Client client(opened.server->port());
-  const std::string noise(100'000, '?');
-  ::send(client.fd(), noise.data(), noise.size(), MSG_DONTWAIT);
-  settle(*opened.server);
-  opened.server->broadcast("still there\n");
-  EXPECT_EQ(client.read(), "still there\n");
-}
-
-TEST(PoseServer, RefusesClientsBeyondItsBound) {
-  auto opened = PoseServer::open("127.0.0.1", 0, "");
-  ASSERT_TRUE(opened.server);
-  std::vector<std::unique_ptr<Client>> clients;
-  for (std::size_t i = 0; i < PoseServer::kMaxClients + 3; ++i) {
-    clients.push_back(std::make_unique<Client>(opened.server->port()));
-    opened.server->service();
+// A client that reads again in time gets all lines in order.
+TEST_F(PoseServerTest, SendsWhatWaitedOnceTheClientReads) {
+  PoseServer& server = open("");
+  TcpClient client(server.port(), 4096);
+  loop_.poll();
+  std::string sent;
+  for (int i = 0; server.waiting_bytes() < PoseServer::kMaxBacklog / 2; ++i) {
+    ASSERT_LT(i, 20'000);
+    const std::string line = std::to_string(i) + std::string(1000, 'x') + "\n";
+    server.on_line(line);
+    sent += line;
+    loop_.poll();
   }
-  settle(*opened.server);
-  EXPECT_EQ(opened.server->client_count(), PoseServer::kMaxClients);
-  EXPECT_EQ(opened.server->counters().refused, 3U);
-  clients.back()->read();
-  EXPECT_TRUE(clients.back()->ended);
+  std::string received;
+  for (int i = 0; i < 1'000'000 && received.size() < sent.size(); ++i) {
+    received += client.receive();
+    loop_.poll();
+  }
+  EXPECT_EQ(server.waiting_bytes(), 0U);
+  EXPECT_EQ(received, sent);
 }
 
-TEST(PoseServer, ExplainsWhyItCannotListen) {
-  auto first = PoseServer::open("127.0.0.1", 0, "");
-  ASSERT_TRUE(first.server);
-  const auto second = PoseServer::open("127.0.0.1", first.server->port(), "");
+TEST_F(PoseServerTest, IgnoresDataFromAClient) {
+  PoseServer& server = open("");
+  const TcpClient noisy(server.port());
+  TcpClient client(server.port());
+  static_cast<void>(noisy.send(std::string(100'000, '?')));
+  static_cast<void>(client.send("?"));
+  loop_.poll();
+  server.on_line("still there\n");
+  EXPECT_EQ(client.receive(), "still there\n");
+  EXPECT_EQ(server.client_count(), 2U);
+}
+
+TEST_F(PoseServerTest, RefusesClientsBeyondItsBound) {
+  PoseServer& server = open("");
+  std::vector<std::unique_ptr<TcpClient>> clients;
+  for (std::size_t i = 0; i < PoseServer::kMaxClients + 3; ++i) {
+    clients.push_back(std::make_unique<TcpClient>(server.port()));
+    loop_.poll();
+  }
+  EXPECT_EQ(server.client_count(), PoseServer::kMaxClients);
+  EXPECT_EQ(server.counters().refused, 3U);
+  EXPECT_EQ(clients.back()->receive(), "");
+  EXPECT_TRUE(clients.back()->ended());
+}
+
+TEST_F(PoseServerTest, ExplainsWhyItCannotListen) {
+  const std::uint16_t port = open("").port();
+  const auto second = PoseServer::open(loop_, {.address = "127.0.0.1", .port = port}, "");
   EXPECT_FALSE(second.server);
   EXPECT_EQ(second.error.fault, link::LinkFault::kBusy);
-  EXPECT_THAT(second.error.message, testing::HasSubstr(std::to_string(first.server->port())));
-  const auto elsewhere = PoseServer::open("192.0.2.1", 0, "");
+  EXPECT_THAT(second.error.message, testing::HasSubstr(std::to_string(port)));
+  EXPECT_THAT(second.error.message, testing::HasSubstr("pose_stream"));
+  const auto elsewhere = PoseServer::open(loop_, {.address = "192.0.2.1", .port = 0}, "");
   EXPECT_FALSE(elsewhere.server);
   EXPECT_EQ(elsewhere.error.fault, link::LinkFault::kNoDevice);
+}
+
+// Without a free descriptor the listener stays readable; the loop does not spin, and accepts the client
+// later.
+TEST(TcpListener, PausesWithoutDescriptors) {
+  double now_s = 0.0;
+  EventLoop loop([&] { return now_s; });
+  std::size_t accepted = 0;
+  const auto opened = TcpListener::open(loop, {.address = "127.0.0.1", .port = 0}, "pose_stream",
+                                        [&](const io::Descriptor& /*client*/) { ++accepted; });
+  ASSERT_TRUE(opened.listener) << opened.error.message;
+  const TcpClient client(opened.listener->port());
+  loop.poll();
+  ASSERT_EQ(accepted, 1U);
+
+  const TcpClient next(opened.listener->port());
+  rlimit before{};
+  ASSERT_EQ(::getrlimit(RLIMIT_NOFILE, &before), 0);
+  const rlimit few{.rlim_cur = 64, .rlim_max = before.rlim_max};
+  ASSERT_EQ(::setrlimit(RLIMIT_NOFILE, &few), 0);
+  std::vector<io::Descriptor> all;
+  do {
+    all.emplace_back(::dup(STDERR_FILENO));
+  } while (all.back().valid());
+  loop.poll();  // returns, as nothing is ready any more
+  loop.poll();
+  EXPECT_EQ(accepted, 1U);
+  all.clear();
+  ASSERT_EQ(::setrlimit(RLIMIT_NOFILE, &before), 0);
+  loop.poll();
+  EXPECT_EQ(accepted, 1U);
+  now_s += 1.0;
+  loop.poll();
+  loop.poll();
+  EXPECT_EQ(accepted, 2U);
 }
 
 TEST(PoseMessage, UnknownTermsAreNull) {

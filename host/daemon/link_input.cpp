@@ -1,0 +1,57 @@
+#include "host/daemon/link_input.hpp"
+
+#include <fmt/format.h>
+
+#include <array>
+#include <utility>
+
+namespace groma::daemon {
+
+LinkInput::LinkInput(EventLoop& loop, Setup setup)
+    : loop_(loop), setup_(std::move(setup)), link_(setup_.open) {}
+
+link::LinkError LinkInput::open() {
+  if (!link_.service(loop_.now_s())) return link_.last_error();
+  opened(false);
+  return {};
+}
+
+void LinkInput::service() {
+  if (link_.service(loop_.now_s())) {
+    setup_.log(fmt::format("{}: reopened", setup_.name));
+    opened(true);
+  }
+  if (link_.get() != nullptr) {
+    log_news();
+  } else if (logged_error_ != link_.last_error().message) {
+    logged_error_ = link_.last_error().message;
+    if (!logged_error_.empty()) setup_.log(logged_error_);
+  }
+}
+
+void LinkInput::opened(bool again) {
+  logged_error_.clear();
+  setup_.on_opened(again);
+  watch_.emplace(loop_, link_.get()->poll_fd(), [this] { read(); });
+}
+
+void LinkInput::read() {
+  std::array<std::uint8_t, kReadSize> buffer{};
+  for (int i = 0; i < kReadsPerTurn; ++i) {
+    const link::ReadResult result = link_.read(buffer, loop_.now_s());
+    if (result.gone) {
+      watch_.reset();
+      setup_.log(fmt::format("{}: the link is lost; it will be reopened as soon as possible", setup_.name));
+      return;
+    }
+    if (result.bytes == 0) break;
+    setup_.on_bytes(std::span(buffer).first(result.bytes), loop_.now_s());
+  }
+  log_news();
+}
+
+void LinkInput::log_news() {
+  if (const std::string news = link_.get()->take_news(); !news.empty()) setup_.log(news);
+}
+
+}  // namespace groma::daemon

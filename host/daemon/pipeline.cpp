@@ -1,0 +1,120 @@
+#include "host/daemon/pipeline.hpp"
+
+#include <fmt/format.h>
+
+#include <bit>
+
+#include "host/filter/config.hpp"
+
+namespace groma::daemon {
+
+Pipeline::Pipeline(const Config& config, Log log, Localizer::OnPose on_pose, Localizer::OnPose on_settled)
+    : config_(config),
+      log_(std::move(log)),
+      on_pose_(std::move(on_pose)),
+      on_settled_(std::move(on_settled)),
+      session_({.reorder_lag_s = config.reorder_lag_s, .log = log_}) {
+  for (const NodeLink& node : config.nodes) session_.add_node(node.path.string(), node.baud);
+}
+
+void Pipeline::node_bytes(std::size_t node, std::span<const std::uint8_t> bytes, double now_s) {
+  now_s_ = now_s;
+  session_.node_bytes(node, bytes, now_s);
+  session_.advance(now_s);
+}
+
+// The pose first; then the filter's work on the measurements that have waited.
+void Pipeline::robot_bytes(std::span<const std::uint8_t> bytes, double now_s) {
+  now_s_ = now_s;
+  session_.robot_bytes(bytes, now_s);
+  session_.advance(now_s);
+}
+
+void Pipeline::advance(double now_s) {
+  now_s_ = now_s;
+  session_.advance(now_s);
+}
+
+void Pipeline::adopt(model::Calibration calibration) {
+  ++adopted_;
+  if (localizer_) return localizer_->adopt(std::move(calibration));
+  frame_ = calibration.frame;
+  const std::size_t anchors = calibration.anchors.size();
+  localizer_.emplace(
+      Localizer::Setup{.surface = config_.surface,
+                       .tags = config_.tags,
+                       .calibration = std::move(calibration),
+                       .filter = config_.filter_config()},
+      [this](const PoseEstimate& pose) { take_pose(pose); }, on_settled_);
+  session_.attach(*localizer_);
+  log_(fmt::format("localizes with model {} by {} of {} calibrated anchors; searching for the pose",
+                   filter::model_name(config_.model), localizer_->filter().anchors(), anchors));
+}
+
+void Pipeline::take_pose(const PoseEstimate& pose) {
+  const std::pair state(pose.state, pose.reason);
+  const bool changed = pose_state_ != state;
+  pose_state_ = state;
+  last_pose_s_ = now_s_;
+  on_pose_(pose);
+  if (!changed) return;
+  const std::string_view reason = filter::reason_name(pose.reason);
+  log_(fmt::format("state {}{}{}", filter::state_name(pose.state), reason.empty() ? "" : ": ", reason));
+}
+
+std::string_view Pipeline::state(double now_s) const {
+  if (!localizer_) return "CALIBRATION_DRIVE";
+  if (!localizer_->started()) return filter::state_name(localizer_->state());
+  if (pose_state_ && now_s - last_pose_s_ <= kStatusPeriod_s) return filter::state_name(pose_state_->first);
+  const auto fault = session_.timestamp_fault(now_s);
+  const bool comes = fault && now_s - fault->last_s < kStatusPeriod_s;
+  return comes ? "ODOMETRY_TIMES_WRONG" : "WAITING_FOR_ODOMETRY";
+}
+
+Status Pipeline::status(double now_s) const {
+  const SessionCounters& counters = session_.counters();
+  Status status;
+  status.state = state(now_s);
+  status.odometry = counters.odometry;
+  status.ranges = counters.ranges;
+  status.frames_lost = session_.frames_lost();
+  status.dropped = counters.dropped_late + counters.odometry_out_of_order + counters.sensors_out_of_order +
+                   counters.robot_time_wrong + counters.robot_time_early + counters.without_odometry +
+                   session_.robot_counters().dropped() + (localizer_ ? localizer_->implausible() : 0);
+  if (const auto fault = session_.timestamp_fault(now_s)) {
+    status.diagnosis.push_back({.cause = cause_name(fault->cause),
+                                .evidence = evidence(*fault),
+                                .remedy = std::string(remedy(*fault)),
+                                .value = fault->value});
+  }
+  if (localizer_) {
+    if (auto finding = localizer_->finding()) status.diagnosis.push_back(*std::move(finding));
+  }
+  for (std::size_t i = 0; i < session_.node_count(); ++i) {
+    const link::ReportCounters& node = session_.node(i).decoder().counters();
+    status.dropped +=
+        node.messages_malformed + node.ranges_not_ok + node.ranges_out_of_bounds + node.ranges_bad_instant;
+    status.links.push_back({session_.node(i).name(), session_.node(i).decoder().time().round_trip_s()});
+  }
+  return status;
+}
+
+void Pipeline::log_faults() {
+  if (!localizer_) return;
+  // At the 1st, 2nd, 4th, 8th ... sample, so that a persistent fault does not fill the log.
+  const std::uint64_t implausible = localizer_->implausible();
+  if (std::bit_width(implausible) != std::bit_width(logged_implausible_)) {
+    log_(fmt::format(
+        "robot: {} physically impossible samples dropped so far; check the source of its odometry, "
+        "IMU, GNSS and poses",
+        implausible));
+  }
+  logged_implausible_ = implausible;
+  // A finding once, and again only after it was gone.
+  const auto finding = localizer_->finding();
+  if (finding && !has_finding_)
+    log_(fmt::format("{}: {}; {}", finding->cause, finding->evidence, finding->remedy));
+  has_finding_ = finding.has_value();
+}
+
+}  // namespace groma::daemon

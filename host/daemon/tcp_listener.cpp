@@ -1,0 +1,106 @@
+#include "host/daemon/tcp_listener.hpp"
+
+#include <fmt/format.h>
+#include <netdb.h>
+#include <netinet/in.h>
+#include <netinet/tcp.h>
+#include <sys/socket.h>
+
+#include <cerrno>
+#include <system_error>
+#include <utility>
+
+namespace groma::daemon {
+namespace {
+
+constexpr int kBacklog = 16;
+
+struct AddressDeleter {
+  void operator()(addrinfo* found) const noexcept { ::freeaddrinfo(found); }
+};
+
+link::LinkError explain(const Endpoint& endpoint, std::string_view key, int error) {
+  const std::string where = fmt::format("{} port {}", endpoint.address, endpoint.port);
+  switch (error) {
+    case EADDRINUSE:
+      return {link::LinkFault::kBusy,
+              fmt::format("{}: in use by another program; stop it or set another {} port", where, key)};
+    case EACCES:
+    case EPERM:
+      return {link::LinkFault::kPermission,
+              fmt::format("{}: not permitted; set a {} port above 1023", where, key)};
+    case EADDRNOTAVAIL:
+      return {link::LinkFault::kNoDevice,
+              fmt::format("{}: not an address of this computer; set another {} address", where, key)};
+    default:
+      return {link::LinkFault::kUnsuitable, fmt::format("{}: cannot listen ({}); set another {}", where,
+                                                        std::generic_category().message(error), key)};
+  }
+}
+
+std::uint16_t bound_port(int fd) {
+  sockaddr_storage bound{};
+  socklen_t size = sizeof(bound);
+  if (::getsockname(fd, reinterpret_cast<sockaddr*>(&bound), &size) != 0) return 0;
+  // IPv4 and IPv6 have the port at the same offset.
+  return ntohs(reinterpret_cast<const sockaddr_in*>(&bound)->sin_port);
+}
+
+bool lacks_resources(int error) {
+  return error == EMFILE || error == ENFILE || error == ENOBUFS || error == ENOMEM;
+}
+
+}  // namespace
+
+TcpListener::Opened TcpListener::open(EventLoop& loop, const Endpoint& endpoint, std::string_view key,
+                                      Accepted accepted) {
+  addrinfo hints{};
+  hints.ai_flags = AI_NUMERICHOST | AI_NUMERICSERV | AI_PASSIVE;
+  hints.ai_socktype = SOCK_STREAM;
+  addrinfo* raw = nullptr;
+  if (::getaddrinfo(endpoint.address.c_str(), std::to_string(endpoint.port).c_str(), &hints, &raw) != 0) {
+    return {nullptr, explain(endpoint, key, EADDRNOTAVAIL)};
+  }
+  const std::unique_ptr<addrinfo, AddressDeleter> found(raw);
+  io::Descriptor listener(::socket(found->ai_family, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0));
+  const int on = 1;
+  if (!listener.valid() || ::setsockopt(listener.get(), SOL_SOCKET, SO_REUSEADDR, &on, sizeof(on)) != 0 ||
+      ::bind(listener.get(), found->ai_addr, found->ai_addrlen) != 0 ||
+      ::listen(listener.get(), kBacklog) != 0) {
+    return {nullptr, explain(endpoint, key, errno)};
+  }
+  const std::uint16_t bound = bound_port(listener.get());
+  return {
+      std::unique_ptr<TcpListener>(new TcpListener(loop, std::move(listener), bound, std::move(accepted))),
+      {}};
+}
+
+TcpListener::TcpListener(EventLoop& loop, io::Descriptor listener, std::uint16_t port, Accepted accepted)
+    : loop_(loop),
+      listener_(std::move(listener)),
+      port_(port),
+      accepted_(std::move(accepted)),
+      resume_(loop, kPause_s, [this] {
+        if (!watch_) listen();
+      }) {
+  listen();
+}
+
+void TcpListener::listen() {
+  watch_.emplace(loop_, listener_.get(), [this] { accept(); });
+}
+
+void TcpListener::accept() {
+  for (int i = 0; i < kAcceptsPerTurn; ++i) {
+    io::Descriptor client(::accept4(listener_.get(), nullptr, nullptr, SOCK_NONBLOCK | SOCK_CLOEXEC));
+    if (!client.valid()) {
+      if (lacks_resources(errno)) watch_.reset();
+      return;
+    }
+    const int on = 1;
+    ::setsockopt(client.get(), IPPROTO_TCP, TCP_NODELAY, &on, sizeof(on));
+    accepted_(std::move(client));
+  }
+}
+
+}  // namespace groma::daemon
