@@ -8,12 +8,14 @@
 #include <exception>
 #include <filesystem>
 #include <optional>
+#include <string>
 #include <string_view>
 
 #include <CLI/CLI.hpp>
 
 #include "host/daemon/config.hpp"
 #include "host/daemon/daemon.hpp"
+#include "host/daemon/memory_lock.hpp"
 #include "host/io/calibration_file.hpp"
 #include "host/io/descriptor.hpp"
 #include "host/io/error.hpp"
@@ -56,6 +58,7 @@ int run(int argc, char** argv) {
   }
 
   const io::Descriptor stop = stop_signals();
+  if (const std::string warning = lock_memory(); !warning.empty()) log(warning);
   if (!std::filesystem::exists(path)) {
     throw io::ConfigError({path}, "does not exist", "give the daemon's configuration file");
   }
