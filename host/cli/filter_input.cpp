@@ -51,8 +51,12 @@ void FilterInput::add_options(CLI::App& command) {
       ->type_name("X,Y,YAW");
 }
 
+void FilterInput::add_output_file(CLI::App& command, const std::string& description) {
+  command.add_option("-o,--output", output_, description)->required();
+}
+
 void FilterInput::add_output(CLI::App& command) {
-  command.add_option("-o,--output", output_, "Table to write, one row per odometry sample")->required();
+  add_output_file(command, "Table to write, one row per odometry sample");
   add_json(command);
 }
 
@@ -98,10 +102,7 @@ std::optional<filter::Start> FilterInput::find_start(const io::Dataset& dataset)
   return start;
 }
 
-FilterInput::Drive FilterInput::read(const char* command, StartIs start, Warnings& warnings) const {
-  if (surveyed_ == calibration_.has_value()) {
-    throw CLI::ValidationError(command, "give either --calibration FILE or --surveyed");
-  }
+io::Dataset FilterInput::read_whole(StartIs start, Warnings& warnings) const {
   io::ReadOptions read;
   read.surveyed_anchors = surveyed_;
   read.ground_truth = false;
@@ -109,8 +110,22 @@ FilterInput::Drive FilterInput::read(const char* command, StartIs start, Warning
   read.needs_pose_prior = start == StartIs::kNeeded;
   read.sensors = true;
   read.log_section = selection_.section();
-  Drive drive{.dataset = io::read_dataset(dataset_, read), .calibration = {}, .options = {}};
-  warnings.add(drive.dataset);
+  io::Dataset dataset = io::read_dataset(dataset_, read);
+  warnings.add(dataset);
+  return dataset;
+}
+
+io::Dataset FilterInput::read_drive(Warnings& warnings) const {
+  io::Dataset dataset = read_whole(StartIs::kFoundOtherwise, warnings);
+  selection_.apply(dataset);
+  return dataset;
+}
+
+FilterInput::Drive FilterInput::read(const char* command, StartIs start, Warnings& warnings) const {
+  if (surveyed_ == calibration_.has_value()) {
+    throw CLI::ValidationError(command, "give either --calibration FILE or --surveyed");
+  }
+  Drive drive{.dataset = read_whole(start, warnings), .calibration = {}, .options = {}};
   drive.calibration = load_calibration(drive.dataset, warnings);
   selection_.apply(drive.dataset);
   drive.options.config.odometry = drive.dataset.odometry_noise;
@@ -160,6 +175,17 @@ void FilterInput::expect_finite(std::span<const model::PlanarEstimate> rows,
   }
 }
 
+std::optional<diagnosis::Finding> FilterInput::warn_of_mismatch(const filter::ReplayResult& result,
+                                                                Warnings& warnings) {
+  const auto& mismatch = result.map_mismatch;
+  if (!mismatch) return std::nullopt;
+  const bool is_placed = !result.rows.empty() && result.rows.front().t_s <= mismatch->t_s;
+  diagnosis::Finding finding =
+      diagnosis::map_mismatch(is_placed ? std::optional(mismatch->share) : std::nullopt);
+  warnings.add(finding);
+  return finding;
+}
+
 void FilterInput::warn_of_samples(const filter::Counters& counters, Warnings& warnings) {
   if (counters.odometry[filter::OdometryOutcome::kImplausible] > 0) {
     warnings.add(fmt::format("{} odometry samples were dropped: no robot moves or accelerates like that",
@@ -172,6 +198,13 @@ void FilterInput::warn_of_samples(const filter::Counters& counters, Warnings& wa
     warnings.add(fmt::format("{} samples of {} were dropped: no robot can move like that", dropped,
                              model::kSensorNames.at(sensor)));
   }
+}
+
+void FilterInput::warn_of_ranges(const filter::Counters& counters, Warnings& warnings) {
+  const std::size_t unknown = counters.ranges[filter::RangeOutcome::kUnknownAnchor];
+  if (unknown == 0) return;
+  warnings.add(
+      fmt::format("{} ranges to anchors, or of pairs, that the calibration lacks were ignored", unknown));
 }
 
 void FilterInput::warn_without_ranges(std::size_t ranges_seen, Warnings& warnings) {

@@ -30,6 +30,7 @@ int run(int argc, char** argv) {
   Action action;
   add_calibrate(app, action);
   add_configure(app, action);
+  add_convert(app, action);
   add_demo(app, action);
   add_diff(app, action);
   add_evaluate(app, action);

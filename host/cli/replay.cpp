@@ -91,11 +91,7 @@ int run(const ReplayOptions& options) {
   const filter::ReplayResult result = filter::replay(drive.run(), replay);
   const double wall_s = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
   std::vector<diagnosis::Finding> findings;
-  if (const auto& mismatch = result.map_mismatch) {
-    const bool is_placed = !result.rows.empty() && result.rows.front().t_s <= mismatch->t_s;
-    findings.push_back(diagnosis::map_mismatch(is_placed ? std::optional(mismatch->share) : std::nullopt));
-    warnings.add(findings.back());
-  }
+  if (const auto mismatch = FilterInput::warn_of_mismatch(result, warnings)) findings.push_back(*mismatch);
   if (result.rows.empty()) {
     if (replay.knows_start) {
       throw io::DataError({options.input.dataset() / "odometry.csv"},
@@ -121,10 +117,7 @@ int run(const ReplayOptions& options) {
                  io::format_estimate(result.rows, result.spatial, drive.dataset.surface, words));
 
   const filter::Counters& counters = result.counters;
-  if (counters.ranges[filter::RangeOutcome::kUnknownAnchor] > 0) {
-    warnings.add(fmt::format("{} ranges to anchors, or of pairs, that the calibration lacks were ignored",
-                             counters.ranges[filter::RangeOutcome::kUnknownAnchor]));
-  }
+  FilterInput::warn_of_ranges(counters, warnings);
   FilterInput::warn_of_samples(counters, warnings);
   if (counters.ranges[filter::RangeOutcome::kUsed] == 0 && replay.config.model != filter::Model::kOdometry)
     FilterInput::warn_without_ranges(result.ranges_seen, warnings);

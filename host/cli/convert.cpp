@@ -1,0 +1,95 @@
+// groma convert: writes a recorded drive as an MCAP file.
+#include "host/convert/convert.hpp"
+
+#include <fmt/format.h>
+
+#include <limits>
+#include <memory>
+
+#include <CLI/CLI.hpp>
+
+#include "host/cli/command.hpp"
+#include "host/cli/filter_input.hpp"
+#include "host/cli/terminal.hpp"
+#include "host/cli/warnings.hpp"
+#include "host/filter/replay.hpp"
+#include "host/io/error.hpp"
+#include "host/io/output_file.hpp"
+
+namespace groma::cli {
+
+namespace {
+
+struct ConvertOptions {
+  FilterInput input;
+  bool ros2 = false;
+};
+
+convert::Converted convert_drive(const ConvertOptions& options, convert::Recording recording) {
+  const Selection& selection = options.input.selection();
+  recording.from_s = selection.from_s().value_or(-std::numeric_limits<double>::infinity());
+  recording.to_s = selection.to_s().value_or(std::numeric_limits<double>::infinity());
+  return convert::to_mcap(recording, options.ros2 ? convert::Format::kRos2 : convert::Format::kFoxglove);
+}
+
+// With the estimates of the filter, as groma replay computes them.
+convert::Converted convert_with_estimates(const ConvertOptions& options, Warnings& warnings) {
+  FilterInput::Drive drive = options.input.read("convert", FilterInput::StartIs::kFoundOtherwise, warnings);
+  drive.options.config.range_delay_sigma_s = filter::kRangeDelaySigma_s;
+  drive.options.config.odometry_delay_sigma_s = filter::kOdometryDelaySigma_s;
+  const filter::ReplayResult result = filter::replay(drive.run(), drive.options);
+  options.input.expect_finite(result.rows, result.spatial);
+  FilterInput::warn_of_mismatch(result, warnings);
+  FilterInput::warn_of_ranges(result.counters, warnings);
+  FilterInput::warn_of_samples(result.counters, warnings);
+  if (result.rows.empty()) {
+    warnings.add("there are no poses: no start was found from priors, ranges and motion");
+  } else if (result.counters.ranges[filter::RangeOutcome::kUsed] == 0) {
+    FilterInput::warn_without_ranges(result.ranges_seen, warnings);
+  }
+  return convert_drive(options,
+                       {.dataset = &drive.dataset, .calibration = &drive.calibration, .result = &result});
+}
+
+convert::Converted convert_input(const ConvertOptions& options, Warnings& warnings) {
+  const io::Dataset dataset = options.input.read_drive(warnings);
+  return convert_drive(options, {.dataset = &dataset});
+}
+
+int run(const ConvertOptions& options) {
+  io::expect_writable(options.input.output());
+  Warnings warnings;
+  const convert::Converted converted = options.input.has_calibration()
+                                           ? convert_with_estimates(options, warnings)
+                                           : convert_input(options, warnings);
+  if (converted.without_timestamp > 0) {
+    warnings.add(fmt::format("{} samples were left out: their t_s is not within 0 to 2147483647 s",
+                             converted.without_timestamp));
+  }
+  if (converted.messages == 0) {
+    throw io::DataError({options.input.dataset()}, "there are no samples in the chosen time",
+                        "choose another --from and --to");
+  }
+  io::write_file(options.input.output(), converted.bytes);
+  say(fmt::format("{} messages of {} topics, written to {}\n", converted.messages, converted.topics,
+                  options.input.output().string()));
+  return warnings.exit_code();
+}
+
+}  // namespace
+
+void add_convert(CLI::App& app, Action& action) {
+  const auto options = std::make_shared<ConvertOptions>();
+  CLI::App* command = app.add_subcommand(
+      "convert",
+      "Write a recorded drive as an MCAP file: for Foxglove and Lichtblick, or with --ros2 for ROS 2. With a "
+      "calibration it contains the poses that groma replay computes.");
+  options->input.add_options(*command);
+  options->input.add_relocation(*command);
+  command->add_flag("--ros2", options->ros2,
+                    "Messages of ROS 2 (CDR), for 'ros2 bag play', instead of those of Foxglove (protobuf)");
+  options->input.add_output_file(*command, "MCAP file to write");
+  command->callback([options, &action] { action = [options] { return run(*options); }; });
+}
+
+}  // namespace groma::cli

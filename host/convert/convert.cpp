@@ -1,0 +1,197 @@
+#include "host/convert/convert.hpp"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+#include <span>
+#include <string_view>
+#include <tuple>
+#include <type_traits>
+#include <variant>
+#include <vector>
+
+#include "host/convert/encoder.hpp"
+#include "host/filter/sensors.hpp"
+#include "host/io/version.hpp"
+#include "host/mcap/writer.hpp"
+#include "host/model/pose.hpp"
+
+namespace groma::convert {
+
+namespace {
+
+// The duration of one message of ranges.
+constexpr std::uint64_t kRangesTime_ns = 50'000'000;
+
+// A sample, or the ranges [begin, end), of the recording.
+struct Event {
+  enum class Source { kRanges, kSensor, kPrior, kOdometry, kEstimate };
+  double t_s = 0.0;
+  Source source = Source::kRanges;
+  std::size_t begin = 0;
+  std::size_t end = 0;
+};
+
+std::vector<model::SensorSample> sensor_samples(const model::SensorTables& tables) {
+  std::vector<model::SensorSample> all;
+  std::apply([&](const auto&... table) { (all.insert(all.end(), table.begin(), table.end()), ...); }, tables);
+  return all;
+}
+
+// The events of a recording by time; those of one time in the order of Event::Source.
+class Timeline {
+ public:
+  Timeline(const Recording& recording, std::span<const model::SensorSample> sensors)
+      : from_s_(recording.from_s), to_s_(recording.to_s) {
+    const io::Dataset& dataset = *recording.dataset;
+    add_ranges(dataset.ranges);
+    add(Event::Source::kSensor, sensors, [](const auto& sample) { return model::time_of(sample); });
+    const auto time_of = [](const auto& sample) { return sample.t_s; };
+    add(Event::Source::kPrior, std::span(dataset.pose_prior), time_of);
+    add(Event::Source::kOdometry, std::span(dataset.odometry), time_of);
+    if (recording.result != nullptr)
+      add(Event::Source::kEstimate, std::span(recording.result->rows), time_of);
+    std::stable_sort(events_.begin(), events_.end(),
+                     [](const Event& a, const Event& b) { return a.t_s < b.t_s; });
+  }
+
+  [[nodiscard]] const std::vector<Event>& events() const noexcept { return events_; }
+  [[nodiscard]] std::size_t without_timestamp() const noexcept { return without_timestamp_; }
+
+ private:
+  bool takes(double t_s) {
+    if (t_s < from_s_ || t_s > to_s_) return false;
+    if (has_timestamp(t_s)) return true;
+    ++without_timestamp_;
+    return false;
+  }
+
+  template <typename Samples, typename TimeOf>
+  void add(Event::Source source, const Samples& samples, const TimeOf& time_of) {
+    for (std::size_t i = 0; i < samples.size(); ++i) {
+      if (takes(time_of(samples[i]))) events_.push_back({time_of(samples[i]), source, i, i + 1});
+    }
+  }
+
+  // By time, so that those without a timestamp are the first and last ones.
+  void add_ranges(std::span<const model::RangeSample> ranges) {
+    std::uint64_t end_ns = 0;  // of the open message
+    for (std::size_t i = 0; i < ranges.size(); ++i) {
+      const double t_s = ranges[i].t_s;
+      if (!takes(t_s)) continue;
+      if (events_.empty() || to_ns(t_s) >= end_ns) {
+        events_.push_back({t_s, Event::Source::kRanges, i, i});
+        end_ns = to_ns(t_s) + kRangesTime_ns;
+      }
+      events_.back().t_s = t_s;
+      events_.back().end = i + 1;
+    }
+  }
+
+  double from_s_;
+  double to_s_;
+  std::vector<Event> events_;
+  std::size_t without_timestamp_ = 0;
+};
+
+InputPose placed(const model::PoseSample& sample, InputPose::Kind kind, const model::Surface& surface) {
+  const model::PlanarPose planar = filter::place_on(surface, sample);
+  return {kind, sample.t_s, model::pose_on_surface(surface, planar).pose, sample.covariance};
+}
+
+Estimate estimate_of(const filter::ReplayResult& result, std::size_t row, const model::Surface& surface,
+                     const model::OdometrySample& odometry) {
+  const model::PlanarEstimate& planar = result.rows[row];
+  const model::SpatialEstimate& spatial = result.spatial[row];
+  const model::PlanarPose at{planar.x_m, planar.y_m, planar.yaw_rad, spatial.chart};
+  return {.t_s = planar.t_s,
+          .pose = model::pose_on_surface(surface, at).pose,
+          .roll_rad = spatial.roll_rad,
+          .pitch_rad = spatial.pitch_rad,
+          .yaw_rad = planar.yaw_rad,
+          .covariance = spatial.covariance,
+          .state = result.states[row].state,
+          .reason = result.states[row].reason,
+          .odometry = odometry};
+}
+
+void put(const model::SensorSample& sample, const model::Surface& surface, Encoder& encoder) {
+  std::visit(
+      [&]<class Sample>(const Sample& of) {
+        if constexpr (std::is_same_v<Sample, model::PoseSample>) {
+          encoder.put(placed(of, InputPose::Kind::kAbsolute, surface));
+        } else {
+          encoder.put(of);
+        }
+      },
+      sample);
+}
+
+void put_all(const Recording& recording, std::span<const model::SensorSample> sensors,
+             std::span<const Event> events, Encoder& encoder) {
+  const io::Dataset& dataset = *recording.dataset;
+  if (recording.calibration != nullptr && !events.empty()) encoder.put_site(events.front().t_s);
+  model::OdometrySample odometry;
+  for (const Event& event : events) {
+    const std::size_t i = event.begin;
+    switch (event.source) {
+      case Event::Source::kRanges:
+        encoder.put(std::span(dataset.ranges).subspan(i, event.end - i));
+        break;
+      case Event::Source::kSensor:
+        put(sensors[i], dataset.surface, encoder);
+        break;
+      case Event::Source::kPrior:
+        encoder.put(placed(dataset.pose_prior[i], InputPose::Kind::kPrior, dataset.surface));
+        break;
+      case Event::Source::kOdometry:
+        odometry = dataset.odometry[i];
+        encoder.put(odometry);
+        break;
+      case Event::Source::kEstimate:
+        encoder.put(estimate_of(*recording.result, i, dataset.surface, odometry));
+        break;
+    }
+  }
+}
+
+}  // namespace
+
+std::uint64_t to_ns(double t_s) noexcept {
+  // In two parts, because the product of a time since 1970 has no room for nanoseconds.
+  const double whole_s = std::floor(t_s);
+  return static_cast<std::uint64_t>(whole_s) * kNsPerS +
+         static_cast<std::uint64_t>(std::llround((t_s - whole_s) * 1e9));
+}
+
+void Encoder::write(std::string_view topic, std::string_view schema, double t_s, std::string_view message) {
+  auto channel = channels_.find(topic);
+  if (channel == channels_.end())
+    channel = channels_.emplace(topic, add_channel(writer_, topic, schema)).first;
+  writer_.write(channel->second, to_ns(t_s), message);
+}
+
+Converted to_mcap(const Recording& recording, Format format) {
+  const io::Dataset& dataset = *recording.dataset;
+  const bool is_ros2 = format == Format::kRos2;
+  mcap::Writer writer(is_ros2 ? "ros2" : "", fmt::format("groma {}", io::program_version()));
+  constexpr std::string_view kMapFrame = "map";
+  const Site site{.frame = recording.calibration != nullptr ? recording.calibration->frame : kMapFrame,
+                  .tags = dataset.tags,
+                  .calibration = recording.calibration,
+                  .odometry_noise = dataset.odometry_noise,
+                  .gyro_sigma_radps = filter::SensorConfig(dataset.sensors).gyro_sigma_radps};
+  const auto encoder = is_ros2 ? make_ros2_encoder(writer, site) : make_foxglove_encoder(writer, site);
+  const std::vector<model::SensorSample> sensors = sensor_samples(dataset.sensor_samples);
+  const Timeline timeline(recording, sensors);
+  put_all(recording, sensors, timeline.events(), *encoder);
+  Converted converted;
+  converted.messages = writer.messages();
+  converted.topics = writer.channels();
+  converted.without_timestamp = timeline.without_timestamp();
+  converted.bytes = writer.finish();
+  return converted;
+}
+
+}  // namespace groma::convert

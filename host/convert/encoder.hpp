@@ -1,0 +1,97 @@
+// A recording as messages of one format: what convert.cpp passes in order of time, and each format encodes.
+#pragma once
+
+#include <cstdint>
+#include <map>
+#include <memory>
+#include <optional>
+#include <span>
+#include <string>
+#include <string_view>
+
+#include <Eigen/Core>
+
+#include "host/filter/tracker.hpp"
+#include "host/mcap/writer.hpp"
+#include "host/model/calibration.hpp"
+#include "host/model/pose.hpp"
+#include "host/model/types.hpp"
+
+namespace groma::convert {
+
+// Times that each format can hold: of ROS 2, 31 bits of seconds.
+[[nodiscard]] constexpr bool has_timestamp(double t_s) noexcept {
+  return t_s >= 0.0 && t_s < 2147483648.0;
+}
+inline constexpr std::uint64_t kNsPerS = 1'000'000'000;
+// Requires has_timestamp().
+[[nodiscard]] std::uint64_t to_ns(double t_s) noexcept;
+
+inline constexpr std::string_view kBaseFrame = "base_link";
+
+// What does not change during the recording.
+struct Site {
+  std::string_view frame;                 // of the map
+  std::span<const model::Tag> tags;       // in base_link
+  const model::Calibration* calibration;  // null: no estimates
+  model::OdometryNoise odometry_noise;    // of each sample
+  double gyro_sigma_radps = 0.0;
+};
+
+// A pose of base_link in the map frame that was an input; placed on the surface.
+struct InputPose {
+  enum class Kind { kPrior, kAbsolute };
+  Kind kind = Kind::kPrior;
+  double t_s = 0.0;
+  model::RigidPose pose;
+  std::optional<model::PoseCovariance> covariance;  // none: unknown
+};
+
+// An estimate, at the time of an odometry sample.
+struct Estimate {
+  double t_s = 0.0;
+  model::RigidPose pose;
+  double roll_rad = 0.0;
+  double pitch_rad = 0.0;
+  double yaw_rad = 0.0;                                                          // the heading on the surface
+  Eigen::Matrix<double, 6, 6> covariance = Eigen::Matrix<double, 6, 6>::Zero();  // x, y, z, roll, pitch, yaw
+  filter::State state = filter::State::kUninitialized;
+  filter::Reason reason = filter::Reason::kNone;
+  model::OdometrySample odometry;
+};
+
+class Encoder {
+ public:
+  explicit Encoder(mcap::Writer& writer) : writer_(writer) {}
+  virtual ~Encoder() = default;
+  Encoder(const Encoder&) = delete;
+  Encoder& operator=(const Encoder&) = delete;
+
+  // Each t_s has a timestamp. put_site() comes first, once, and only with a calibration.
+  virtual void put_site(double t_s) = 0;
+  // Of at most 50 ms, by time; not empty.
+  virtual void put(std::span<const model::RangeSample> ranges) = 0;
+  virtual void put(const model::OdometrySample& sample) = 0;
+  virtual void put(const InputPose& pose) = 0;
+  virtual void put(const model::YawRateSample& sample) = 0;
+  virtual void put(const model::PositionSample& sample) = 0;
+  virtual void put(const model::ZeroVelocitySample& sample) = 0;
+  virtual void put(const Estimate& estimate) = 0;
+
+ protected:
+  // Writes a message; the first one of a topic adds its channel.
+  void write(std::string_view topic, std::string_view schema, double t_s, std::string_view message);
+  [[nodiscard]] virtual std::uint16_t add_channel(mcap::Writer& writer, std::string_view topic,
+                                                  std::string_view schema) = 0;
+
+ private:
+  mcap::Writer& writer_;
+  std::map<std::string_view, std::uint16_t> channels_;  // by topic; topics are literals
+};
+
+// Protobuf messages with the schemas of Foxglove.
+[[nodiscard]] std::unique_ptr<Encoder> make_foxglove_encoder(mcap::Writer& writer, const Site& site);
+// Messages of ROS 2.
+[[nodiscard]] std::unique_ptr<Encoder> make_ros2_encoder(mcap::Writer& writer, const Site& site);
+
+}  // namespace groma::convert

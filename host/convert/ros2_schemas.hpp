@@ -1,0 +1,13 @@
+// Definitions of the ROS 2 messages that `groma convert --ros2` writes.
+#pragma once
+
+#include <string>
+#include <string_view>
+
+namespace groma::convert {
+
+// The definition of a type, such as "nav_msgs/msg/Odometry", followed by those of all types that it contains:
+// the schema of a channel with the schema encoding "ros2msg".
+[[nodiscard]] std::string ros2_schema(std::string_view type);
+
+}  // namespace groma::convert
