@@ -114,7 +114,7 @@ void Writer::write(std::uint16_t channel, std::uint64_t time_ns, std::string_vie
 
 void Writer::close_chunk() {
   if (chunk_.empty()) return;
-  constexpr std::string_view kUncompressed = "";
+  constexpr std::string_view kUncompressed{};
   std::string head;
   append(head, chunk_times_.start_ns);
   append(head, chunk_times_.end_ns);
