@@ -38,6 +38,7 @@ COMPACT_TEST = ["test/proto/compact_report_test.cpp"]
 CORRECTIONS_TEST = ["test/firmware/corrections_test.cpp"]
 TRUTH_TEST = ["test/sim/truth_test.cpp"]
 REACH_TEST = ["test/sim/reach_test.cpp"]
+NATIVE_NODE = ["firmware/sim/native_node.cpp"]  # where the node is compiled for the simulation
 DECODER_TEST = ["test/host/link/report_decoder_test.cpp"]
 CLOCK_TEST = ["test/host/clock/time_mapper_test.cpp"]
 EMULATOR = "firmware/sim/emulator/"
@@ -192,7 +193,7 @@ MUTATIONS = [
     ("node: a lost event takes the machine along", PARTICIPATION, "started again\");\n      return resume();\n", "started again\");\n      return join();\n", NODE_TEST),
     ("node: a counter that restarted is not noticed", RADIO_CLOCK, "return apart < kMostApart && -apart < kMostApart;", "return true;", NODE_TEST),
     ("node: radio on while flash is written", CONFIGURATION, "    network_.leave();\n", "", NODE_TEST),
-    ("node: a trial begins only when the node has joined", CONFIGURATION, "    begin_round(has_previous() && trial_s != 0);\n    put_in_force(stored);\n", "    put_in_force(stored);\n    begin_round(has_previous() && trial_s != 0);\n", REACH_TEST),
+    ("node: a trial begins only when the node has joined", CONFIGURATION, "    begin_round(has_previous() && trial_s != 0);\n    put_in_force(stored);\n", "    put_in_force(stored);\n    begin_round(has_previous() && trial_s != 0);\n", REACH_TEST + NATIVE_NODE),
     ("node: a late listening counts twice", EXECUTOR, "    return radio_.receive_now(", "    slack_.add(action.slot, -1);\n    return radio_.receive_now(", NODE_TEST),
     ("node: a master restarts its session after a write", PARTICIPATION, "if (machine_.station() == nullptr) return join();", "return join();", NODE_TEST),
     ("air: repeated command executed again", AIR_LINK, "    if (idle_ >= kForgotten) return false;\n", "    if (idle_ < kForgotten) return false;\n", AIR_LINK_TEST),
