@@ -14,6 +14,8 @@
 #include "host/io/site_description.hpp"
 #include "host/io/yaml_reader.hpp"
 #include "host/link/can_path.hpp"
+#include "host/link/network_link.hpp"
+#include "host/link/usb_port.hpp"
 
 namespace groma::daemon {
 namespace {
@@ -32,6 +34,20 @@ std::filesystem::path parse_path(const YamlValue& yaml, const std::filesystem::p
   return folder / text;
 }
 
+bool is_numeric_address(const std::string& text) {
+  in_addr v4{};
+  in6_addr v6{};
+  return ::inet_pton(AF_INET, text.c_str(), &v4) == 1 || ::inet_pton(AF_INET6, text.c_str(), &v6) == 1;
+}
+
+// A path, or tcp://HOST:PORT and the like.
+std::filesystem::path parse_address(const YamlValue& yaml, const std::filesystem::path& folder) {
+  const std::string text = yaml.text();
+  if (!link::is_network_path(text)) return parse_path(yaml, folder);
+  if (!link::parse_network_path(text)) yaml.fail("is no address", std::string(link::kNetworkPathAdvice));
+  return text;
+}
+
 double parse_between(const YamlValue& yaml, double min, double max) {
   const double value = yaml.number();
   if (!(value >= min && value <= max)) {
@@ -42,7 +58,18 @@ double parse_between(const YamlValue& yaml, double min, double max) {
 
 NodeLink parse_serial_node(const YamlValue& entry, const std::filesystem::path& folder) {
   NodeLink node;
-  node.path = parse_path(entry.at("path"), folder);
+  const auto serial = entry.find("serial");
+  const auto path = entry.find("path");
+  if (serial.has_value() == path.has_value()) {
+    entry.fail("must have either 'path' or 'serial'",
+               "name the port, or the serial number of its USB device");
+  }
+  if (serial) {
+    if (serial->text().empty()) serial->fail("is empty", "name the serial number of a USB device");
+    node.path = std::string(link::kUsbPortScheme) + serial->text();
+  } else {
+    node.path = parse_address(*path, folder);
+  }
   if (const auto baud = entry.find("baud")) {
     node.baud = static_cast<unsigned>(baud->integer(1200, 4'000'000));
   }
@@ -51,6 +78,9 @@ NodeLink parse_serial_node(const YamlValue& entry, const std::filesystem::path& 
 
 NodeLink parse_can_node(const YamlValue& entry) {
   const YamlValue path = entry.at("path");
+  if (const auto serial = entry.find("serial")) {
+    serial->fail("cannot be combined with a node on a CAN bus", "remove one of them");
+  }
   const auto can = link::parse_can_path(path.text());
   if (!can) path.fail("names no node on a CAN bus", std::string(link::kCanPathAdvice));
   if (const auto baud = entry.find("baud")) {
@@ -59,21 +89,26 @@ NodeLink parse_can_node(const YamlValue& entry) {
   return {path.text(), link::equivalent_baud(can->format)};
 }
 
-// Must be unique among the entries. A CAN node's identity does not depend on the frame format.
-std::filesystem::path identity_of(const NodeLink& node) {
-  const auto can = link::parse_can_path(node.path.string());
-  return can ? std::filesystem::path(fmt::format("can:{}/{}", can->interface, can->node)) : node.path;
+// Must be unique among the entries. A CAN node's identity does not depend on the frame format, that of a USB
+// device not on leading zeros.
+std::string identity_of(const NodeLink& node) {
+  const std::string path = node.path.string();
+  if (const auto can = link::parse_can_path(path)) return fmt::format("can:{}/{}", can->interface, can->node);
+  if (!link::is_usb_port_path(path)) return path;
+  const std::size_t digits = path.find_first_not_of('0', link::kUsbPortScheme.size());
+  return std::string(link::kUsbPortScheme) + path.substr(std::min(digits, path.size()));
 }
 
 std::vector<NodeLink> parse_nodes(const YamlValue& yaml, const std::filesystem::path& folder) {
   std::vector<NodeLink> nodes;
-  std::set<std::filesystem::path> seen;
+  std::set<std::string> seen;
   for (const YamlValue& entry : yaml.list()) {
-    entry.expect_keys({{"path"}, {"baud"}});
+    entry.expect_keys({{}, {"path", "serial", "baud"}});
+    const auto path = entry.find("path");
     NodeLink node =
-        link::is_can_path(entry.at("path").text()) ? parse_can_node(entry) : parse_serial_node(entry, folder);
+        path && link::is_can_path(path->text()) ? parse_can_node(entry) : parse_serial_node(entry, folder);
     if (!seen.insert(identity_of(node)).second) {
-      entry.at("path").fail("is given twice", "name each port, or node of a bus, once");
+      path.value_or(entry).fail("is given twice", "name each port, or node of a bus, once");
     }
     nodes.push_back(std::move(node));
   }
@@ -127,15 +162,35 @@ CalibrationSource parse_calibration_source(const YamlValue& yaml, const std::fil
   return source;
 }
 
+void parse_robot(const YamlValue& yaml, const std::filesystem::path& folder, io::InputFiles& files,
+                 Config& config) {
+  const auto socket = yaml.find("robot_socket");
+  const auto robot = yaml.find("robot");
+  if (socket.has_value() == robot.has_value()) {
+    yaml.fail("must have either 'robot_socket' or 'robot'",
+              "name the robot's socket, or give 'listen' or the signals on its CAN bus");
+  }
+  if (socket) {
+    config.robot_socket = parse_address(*socket, folder);
+  } else if (const auto listen = robot->find("listen")) {
+    robot->expect_keys({{"listen"}});
+    config.robot_listen = parse_address(*listen, folder);
+    const auto network = link::parse_network_path(config.robot_listen.string());
+    if (network && (!is_numeric_address(network->host) || network->local_port)) {
+      listen->fail("is not a numeric address and a port",
+                   "write tcp://127.0.0.1:4723 for this computer only, tcp://0.0.0.0:4723 for the network");
+    }
+  } else {
+    config.robot_can = parse_can_signals(*robot, folder, files);
+  }
+}
+
 // Keys that are absent keep their values.
 void parse_endpoint(const YamlValue& yaml, Endpoint& endpoint) {
   yaml.expect_keys({{}, {"address", "port"}});
   if (const auto address = yaml.find("address")) {
     endpoint.address = address->text();
-    in_addr v4{};
-    in6_addr v6{};
-    if (::inet_pton(AF_INET, endpoint.address.c_str(), &v4) != 1 &&
-        ::inet_pton(AF_INET6, endpoint.address.c_str(), &v6) != 1) {
+    if (!is_numeric_address(endpoint.address)) {
       address->fail("is not a numeric address",
                     "write 127.0.0.1 for this computer only, 0.0.0.0 for the network");
     }
@@ -186,15 +241,15 @@ Config read_config(const std::filesystem::path& path) {
   io::InputFiles files;
   const YamlValue yaml = YamlValue::parse(path, files.read(path));
   const std::filesystem::path folder = path.parent_path();
-  yaml.expect_keys(
-      {{"schema", "nodes", "robot_socket", "tags", "odometry", "range", "surface", "calibration"},
-       {"imu", "gnss", "model", "pose_stream", "web", "log", "reorder_lag_s", "speed"}});
+  yaml.expect_keys({{"schema", "nodes", "tags", "odometry", "range", "surface", "calibration"},
+                    {"robot_socket", "robot", "imu", "gnss", "model", "pose_stream", "web", "log",
+                     "last_pose", "reorder_lag_s", "speed"}});
   if (yaml.at("schema").integer(0, std::numeric_limits<std::int64_t>::max()) != 1) {
     yaml.at("schema").fail("is not 1", "this program reads schema 1 only");
   }
   Config config;
   config.nodes = parse_nodes(yaml.at("nodes"), folder);
-  config.robot_socket = parse_path(yaml.at("robot_socket"), folder);
+  parse_robot(yaml, folder, files, config);
   config.tags = parse_tags(yaml.at("tags"));
   config.odometry = io::parse_odometry_noise(yaml.at("odometry"));
   config.range = io::parse_range_priors(yaml.at("range"));
@@ -207,11 +262,15 @@ Config read_config(const std::filesystem::path& path) {
     parse_endpoint(*web, config.web.emplace(Endpoint{.address = "127.0.0.1", .port = 4722}));
   }
   if (const auto log = yaml.find("log")) config.log = parse_path(*log, folder);
+  if (const auto pose = yaml.find("last_pose")) config.last_pose = parse_path(*pose, folder);
   if (const auto lag = yaml.find("reorder_lag_s")) {
     config.reorder_lag_s = parse_between(*lag, 0.0, kMaxReorderLag_s);
   }
   if (const auto speed = yaml.find("speed")) {
     config.speed = parse_between(*speed, 1.0 / kMaxSpeed, kMaxSpeed);
+    if (config.robot_can && config.speed != 1.0)
+      speed->fail("cannot be combined with odometry over CAN",
+                  "remove it: such odometry has this computer's time");
   }
   return config;
 }

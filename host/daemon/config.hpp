@@ -1,10 +1,14 @@
 // The daemon's configuration file: YAML, schema 1, strict.
 //
 //   schema: 1
-//   nodes:                            # a serial port, pseudo-terminal or node on a CAN bus for each tag
-//     - {path: /dev/serial/by-id/usb-tag-1, baud: 1000000}
+//   nodes:                            # the link of each tag
+//     - {path: /dev/ttyACM0, baud: 1000000}   # a serial port or pseudo-terminal
+//     - {serial: "000760123456"}      # the port of a USB device; see host/link/usb_port.hpp
+//     - {path: tcp://10.0.0.7:4001}   # a serial server; see host/link/network_link.hpp
 //     - {path: can:can0/2}            # or canfd:can0/2; see host/link/can_path.hpp
 //   robot_socket: robot.sock          # JSON lines: robot_input.hpp
+//                                     # or tcp://HOST:PORT; or robot: {listen: robot.sock}: gromad serves it;
+//                                     # or robot: {can: can0, dbc: robot.dbc, signals: ...}: can_signals.hpp
 //   tags:                             # position of each tag's antenna in base_link
 //     - {id: 1, lever_arm_m: [0.3, 0.2, 0.6]}
 //   odometry: {sigma_vx_mps: 0.05, sigma_vy_mps: 0.05, sigma_omega_radps: 0.01}
@@ -14,14 +18,15 @@
 //                                               # or {learn: true, file: ..., output: ...}: while driving
 //   model: schmidt                              # this key and all that follow are optional
 //   pose_stream: {address: 127.0.0.1, port: 4721}
-//   web: {address: 127.0.0.1, port: 4722}       # counters for Prometheus at /metrics; default: no HTTP
-//   server log: drive.glog                             # measurements are appended to this file
+//   web: {address: 127.0.0.1, port: 4722}       # counters for Prometheus at /metrics; default: none
+//   log: drive.glog                             # measurements are appended to this file
+//   last_pose: last-pose.json                   # the next run starts from the pose in this file
 //   reorder_lag_s: 0.2
 //   imu: {sigma_omega_radps: 0.005, bias_sigma_radps: 0.01}  # the defaults
 //   gnss: {lever_arm_m: [0.4, -0.3, 1.5]}                    # default: the origin of base_link
 //   speed: 1                          # rate of the site's clocks over this computer's, as of `groma sim`
 //
-// Paths are relative to the file's folder, except those of CAN links.
+// Paths are relative to the file's folder, except those with a scheme such as can: or tcp:.
 #pragma once
 
 #include <cstdint>
@@ -30,6 +35,7 @@
 #include <string>
 #include <vector>
 
+#include "host/daemon/can_signals.hpp"
 #include "host/daemon/tcp_listener.hpp"
 #include "host/filter/config.hpp"
 #include "host/io/dataset.hpp"
@@ -40,7 +46,8 @@ namespace groma::daemon {
 
 struct NodeLink {
   std::filesystem::path path;
-  unsigned baud = 1'000'000;  // of a CAN link: of an equally fast serial line
+  unsigned baud =
+      1'000'000;  // of a CAN link: of an equally fast serial line; of a serial server: of its line
 };
 
 struct CalibrationSource {
@@ -52,7 +59,10 @@ struct CalibrationSource {
 
 struct Config {
   std::vector<NodeLink> nodes;
-  std::filesystem::path robot_socket;
+  // One of these three is given.
+  std::filesystem::path robot_socket;  // the robot's software listens there
+  std::filesystem::path robot_listen;  // the daemon listens there; see host/link/line_listener.hpp
+  std::optional<CanSignals> robot_can;
   std::vector<model::Tag> tags;
   model::OdometryNoise odometry;
   model::RangePriors range;
@@ -61,8 +71,9 @@ struct Config {
   CalibrationSource calibration;
   filter::Model model = filter::Config{}.model;
   Endpoint pose_stream{.address = "127.0.0.1", .port = 4721};
-  std::optional<Endpoint> web;               // none: no HTTP server
-  std::optional<std::filesystem::path> log;  // none: nothing is recorded
+  std::optional<Endpoint> web;                     // none: no HTTP server
+  std::optional<std::filesystem::path> log;        // none: nothing is recorded
+  std::optional<std::filesystem::path> last_pose;  // none: not kept
   double reorder_lag_s = 0.2;
   double speed = 1.0;
 

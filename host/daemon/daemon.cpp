@@ -6,9 +6,12 @@
 #include <array>
 #include <filesystem>
 #include <system_error>
+#include <tuple>
 #include <utility>
 
 #include "groma.pb.h"
+#include "host/daemon/robot_can.hpp"
+#include "host/link/line_listener.hpp"
 #include "host/link/report_decoder.hpp"
 #include "proto/frame_codec.hpp"
 
@@ -17,15 +20,32 @@ namespace {
 
 constexpr double kTimeRequestPeriod_s = 1.0;  // to each node
 
-link::OpenedLink open_input(const std::string& path, unsigned baud) {
-  std::error_code ignored;  // open_link() explains such errors
-  if (std::filesystem::is_regular_file(path, ignored)) {
+link::ReconnectingLink::Opener input_opener(const std::string& path, unsigned baud) {
+  return [path, open = link::link_opener(path, baud)]() -> link::OpenedLink {
+    std::error_code ignored;  // link_opener() explains such errors
+    if (!std::filesystem::is_regular_file(path, ignored)) return open();
     return {nullptr,
             {link::LinkFault::kUnsuitable, fmt::format("{}: a file is not a live link; name a serial port, a "
                                                        "pseudo-terminal, a node on a CAN bus or a socket",
                                                        path)}};
-  }
-  return link::open_link(path, baud);
+  };
+}
+
+// The name of the robot's link, and what opens it.
+std::pair<std::string, link::ReconnectingLink::Opener> robot_input(const Config& config) {
+  if (config.robot_can) return {robot_can_name(*config.robot_can), robot_can_opener(*config.robot_can)};
+  const std::string listen = config.robot_listen.string();
+  if (!listen.empty()) return {listen, [listen] { return link::open_line_listener(listen); }};
+  const std::string path = config.robot_socket.string();
+  return {path, input_opener(path, 0)};
+}
+
+LinkStatus link_status(const LinkInput& input) {
+  LinkStatus status{.link = input.name(), .can = input.can_counters()};
+  if (input.link() != nullptr) return status;
+  const std::string& error = input.last_error().message;
+  status.error = error.empty() ? "the link is lost" : std::string_view(error);
+  return status;
 }
 
 // A frame that requests a node's Hello.
@@ -55,6 +75,7 @@ Daemon::Daemon(Config config, std::optional<model::Calibration> calibration, Log
       known_(std::move(calibration)) {
   for (std::size_t node = 0; node < config_.nodes.size(); ++node) add_node(node);
   add_robot();
+  if (config_.last_pose) last_pose_ = std::make_unique<LastPoseFile>(*config_.last_pose, log_);
 }
 
 Daemon::~Daemon() = default;
@@ -62,7 +83,7 @@ Daemon::~Daemon() = default;
 void Daemon::add_node(std::size_t node) {
   LinkInput::Setup setup;
   setup.name = config_.nodes.at(node).path.string();
-  setup.open = [path = setup.name, baud = config_.nodes.at(node).baud] { return open_input(path, baud); };
+  setup.open = input_opener(setup.name, config_.nodes.at(node).baud);
   setup.on_bytes = [this, node](std::span<const std::uint8_t> bytes, double now_s) {
     arrival_s_ = now_s;
     pipeline_.node_bytes(node, bytes, now_s);
@@ -78,8 +99,7 @@ void Daemon::add_node(std::size_t node) {
 
 void Daemon::add_robot() {
   LinkInput::Setup setup;
-  setup.name = config_.robot_socket.string();
-  setup.open = [path = setup.name] { return open_input(path, 0); };
+  std::tie(setup.name, setup.open) = robot_input(config_);
   setup.on_bytes = [this](std::span<const std::uint8_t> bytes, double now_s) {
     arrival_s_ = now_s;
     pipeline_.robot_bytes(bytes, now_s);
@@ -132,6 +152,7 @@ bool Daemon::run(int stop_fd) {
   loop_.run();
   if (calibrator_->failed()) return false;
   calibrator_->finish();
+  if (last_pose_) last_pose_->finish();
   return true;
 }
 
@@ -140,25 +161,45 @@ void Daemon::tick() {
   arrival_s_ = loop_.now_s();
   pipeline_.advance(arrival_s_);
   record();
-  if (auto calibration = calibrator_->service()) pipeline_.adopt(*std::move(calibration));
+  if (auto calibration = calibrator_->service()) adopt(*std::move(calibration));
   if (calibrator_->failed()) loop_.stop();
+}
+
+void Daemon::adopt(model::Calibration calibration) {
+  std::optional<filter::Start> start;
+  if (last_pose_ && pipeline_.localizer() == nullptr) {
+    start = last_pose_->read(calibration, config_.surface);
+  } else if (last_pose_) {
+    last_pose_->use(calibration);
+  }
+  pipeline_.adopt(std::move(calibration), start);
 }
 
 void Daemon::publish(const PoseEstimate& pose) {
   const std::string line = pose_line(pose, pipeline_.frame(), filter::model_name(config_.model));
   for (const auto& output : outputs_) output->on_pose(pose, line);
   pose_latency_.observe((loop_.now_s() - arrival_s_) / config_.speed);
+  if (last_pose_ && pose.state == filter::State::kTracking) last_pose_->take(pose, loop_.now_s());
 }
 
 void Daemon::publish_status() {
-  const double now_s = loop_.now_s();
   pipeline_.log_faults();
-  Status status = pipeline_.status(now_s);
-  if (calibrator_->solving()) status.state = "CALIBRATING";
-  publish_line(status_line(status));
+  publish_line(status_line(status()));
   if (const AnchorLearner* learner = calibrator_->learner()) {
     publish_line(calibration_line(learner->live().verdict, learner->progress()));
   }
+}
+
+Status Daemon::status() const {
+  Status status = pipeline_.status(loop_.now_s());
+  if (calibrator_->solving()) status.state = "CALIBRATING";
+  status.robot = link_status(*inputs_.back());
+  for (std::size_t node = 0; node < config_.nodes.size(); ++node) {
+    LinkStatus link = link_status(*inputs_.at(node));
+    link.round_trip_s = status.links.at(node).round_trip_s;
+    status.links.at(node) = link;
+  }
+  return status;
 }
 
 void Daemon::publish_line(std::string_view line) {

@@ -13,11 +13,13 @@
 
 #include "host/daemon/config.hpp"
 #include "host/daemon/event_loop.hpp"
+#include "host/daemon/last_pose.hpp"
 #include "host/daemon/link_input.hpp"
 #include "host/daemon/log_recorder.hpp"
 #include "host/daemon/metrics_text.hpp"
 #include "host/daemon/output.hpp"
 #include "host/daemon/pipeline.hpp"
+#include "host/daemon/pose_message.hpp"
 #include "host/daemon/pose_server.hpp"
 #include "host/daemon/site_calibrator.hpp"
 #include "host/daemon/web_server.hpp"
@@ -37,8 +39,8 @@ class Daemon {
   Daemon& operator=(const Daemon&) = delete;
 
   // Opens the pose stream, the web server and all links, and begins to calibrate or localize; returns the
-  // error of the first that cannot be opened. Later a lost link is reopened at growing intervals. Throws as
-  // LogRecorder does if a log is configured.
+  // error of the first that cannot be opened. A link that is missing or in use, and later a lost one, is
+  // opened as soon as possible. Throws as LogRecorder does if a log is configured.
   [[nodiscard]] link::LinkError open();
 
   // Serves until stop_fd is readable. False: the drive gave no usable calibration. Throws as io::write_file()
@@ -54,8 +56,10 @@ class Daemon {
   void add_robot();
   [[nodiscard]] link::LinkError open_servers();
   void tick();
+  void adopt(model::Calibration calibration);
   void publish(const PoseEstimate& pose);
   void publish_status();
+  [[nodiscard]] Status status() const;
   void publish_line(std::string_view line);
   void request_times();
   void record();
@@ -75,7 +79,8 @@ class Daemon {
   std::unique_ptr<LogRecorder> recorder_;
   std::optional<model::Calibration> known_;   // of the file, until open()
   std::optional<SiteCalibrator> calibrator_;  // from open() on
-  double arrival_s_ = 0.0;                    // of what the pipeline is taking
+  std::unique_ptr<LastPoseFile> last_pose_;
+  double arrival_s_ = 0.0;  // of what the pipeline is taking
   LatencyHistogram pose_latency_;
   std::string metrics_;
   double metrics_until_s_ = 0.0;

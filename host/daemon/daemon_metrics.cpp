@@ -166,6 +166,16 @@ void add_node_links(Text& text, const Session& session) {
   });
 }
 
+std::array<Count, 7> can_events(const link::CanCounters& can) {
+  return {{{"can_frames", can.frames},
+           {"can_frames_overrun", can.frames_overrun},
+           {"can_error_frames", can.error_frames},
+           {"can_controller_overruns", can.controller_overruns},
+           {"can_error_passive", can.error_passive},
+           {"can_bus_off", can.bus_off},
+           {"can_restarts", can.restarts}}};
+}
+
 void add_filter(Text& text, const filter::Counters& counters) {
   text.family("groma_filter_ranges_total", "counter", "Ranges that the filter took, by the outcome.");
   for (std::size_t i = 0; i < kRangeOutcomes.size(); ++i) {
@@ -223,11 +233,12 @@ void Daemon::add_links(MetricsText& text) const {
        [](const LinkInput& input) { return input.counters().lost; });
   each("groma_link_attempts_failed_total", "counter", "Attempts to open a link that failed.",
        [](const LinkInput& input) { return input.counters().attempts_failed; });
-  text.family("groma_link_events_total", "counter", "Events that an open link counts itself.");
+  text.family("groma_link_events_total", "counter", "Events on a CAN bus that a link counts.");
   for (const auto& input : inputs_) {
-    if (input->link() == nullptr) continue;
-    for (const link::LinkEvent& event : input->link()->events()) {
-      text.add(event.count, Text::label("link", input->name()) + "," + Text::label("event", event.name));
+    const auto can = input->can_counters();
+    if (!can) continue;
+    for (const Count& event : can_events(*can)) {
+      text.add(event.count, Text::label("link", input->name()) + "," + Text::label("event", event.of));
     }
   }
 }

@@ -32,15 +32,18 @@ class LinkInput {
   // The loop has to outlive the input.
   LinkInput(EventLoop& loop, Setup setup);
 
-  // The first attempt; returns its error.
+  // The first attempt; returns its error, unless the cause may vanish by itself: then service() goes on.
   [[nodiscard]] link::LinkError open();
-  // Opens the link again when that is due, and logs its events. Call it at each tick.
+  // Opens the link when that is due, and logs its events. Call it at each tick.
   void service();
 
   // The open link, or null.
   [[nodiscard]] link::ByteLink* link() const noexcept { return link_.get(); }
   [[nodiscard]] const std::string& name() const noexcept { return setup_.name; }
   [[nodiscard]] const link::LinkCounters& counters() const noexcept { return link_.counters(); }
+  // As of ReconnectingLink.
+  [[nodiscard]] const link::LinkError& last_error() const noexcept { return link_.last_error(); }
+  [[nodiscard]] std::optional<link::CanCounters> can_counters() const { return link_.can_counters(); }
 
  private:
   static constexpr int kReadsPerTurn = 16;  // so that no link delays the others
@@ -53,6 +56,7 @@ class LinkInput {
   Setup setup_;
   link::ReconnectingLink link_;
   std::optional<EventLoop::Watch> watch_;  // while it is open
+  bool has_more_ = false;                  // read() left bytes that the link may hold itself
   std::string logged_error_;               // the last one
 };
 

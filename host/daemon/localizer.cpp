@@ -37,8 +37,11 @@ PoseEstimate pose_on(const model::Surface& surface, const filter::Estimate& esti
   pose.roll_rad = at.roll_rad;
   pose.pitch_rad = at.pitch_rad;
   pose.yaw_rad = model::wrap_angle(estimate.pose.theta_rad);
+  pose.quaternion = at.quaternion;
   pose.planar_covariance = estimate.covariance;
   pose.covariance = at.covariance;
+  pose.velocity = estimate.velocity;
+  pose.velocity_covariance = estimate.velocity_covariance;
   if (surface.chart_count() > 1) pose.floor = surface.charts()[static_cast<std::size_t>(at.chart)].name;
   return pose;
 }
@@ -72,6 +75,11 @@ void Localizer::begin(const filter::Start& start) {
 void Localizer::on_odometry(const model::OdometrySample& sample) {
   const model::OdometrySample own = in_own_time(sample);
   remove_waiting_until(own);
+  if (next_start_ && !tracker_->started()) {
+    next_start_->t_s = own.t_s;
+    begin(*next_start_);
+  }
+  next_start_.reset();
   const filter::OdometryOutcome outcome = tracker_->process(own);
   const bool was_announced = own.t_s <= last_odometry_s_;
   note_odometry_time(own.t_s);

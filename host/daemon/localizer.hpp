@@ -36,11 +36,15 @@ struct PoseEstimate {
   double z_m = 0.0;
   double roll_rad = 0.0;  // ZYX angles of R_WR
   double pitch_rad = 0.0;
-  double yaw_rad = 0.0;  // heading on the surface: R_WR = R_WT(x, y) R_z(yaw)
+  double yaw_rad = 0.0;                            // heading on the surface: R_WR = R_WT(x, y) R_z(yaw)
+  Eigen::Vector4d quaternion{0.0, 0.0, 0.0, 1.0};  // x, y, z, w of R_WR; w is not negative
   Eigen::Matrix3d planar_covariance = Eigen::Matrix3d::Zero();  // of x_m, y_m, yaw_rad
   // Of x, y, z, roll, pitch, yaw. On an exact surface its rank is 3: z, roll and pitch follow from x, y and
   // yaw.
   Eigen::Matrix<double, 6, 6> covariance = Eigen::Matrix<double, 6, 6>::Zero();
+  // Of base_link in base_link: vx, vy (m/s) and yaw rate (rad/s); NaN is unknown.
+  Eigen::Vector3d velocity = Eigen::Vector3d::Zero();
+  Eigen::Matrix3d velocity_covariance = Eigen::Matrix3d::Zero();
   std::string_view floor;  // the chart's name, valid as long as the surface; empty if there is only one
   filter::State state = filter::State::kUninitialized;
   filter::Reason reason = filter::Reason::kNone;
@@ -80,6 +84,8 @@ class Localizer : public MeasurementSink {
 
   // Starts or restarts at a known pose instead of the first pose prior.
   void start(const filter::Start& start);
+  // Starts at this pose, at the time of the next odometry sample, unless it has started by then.
+  void start_at_next_odometry(const filter::Start& start) { next_start_ = start; }
 
   void on_odometry(const model::OdometrySample& sample) override;
   void on_range(const model::RangeSample& range) override;
@@ -126,6 +132,7 @@ class Localizer : public MeasurementSink {
   OnPose on_pose_;
   OnPose on_settled_;
   std::unique_ptr<filter::Tracker> tracker_;
+  std::optional<filter::Start> next_start_;
   Ahead ahead_;             // in order; never exceeds the reserved capacity
   double last_odometry_s_;  // the newest odometry sample that arrived
   double paused_until_s_ = -std::numeric_limits<double>::infinity();  // the sample that ended a pause

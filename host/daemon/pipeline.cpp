@@ -35,7 +35,7 @@ void Pipeline::advance(double now_s) {
   session_.advance(now_s);
 }
 
-void Pipeline::adopt(model::Calibration calibration) {
+void Pipeline::adopt(model::Calibration calibration, const std::optional<filter::Start>& start) {
   ++adopted_;
   if (localizer_) return localizer_->adopt(std::move(calibration));
   frame_ = calibration.frame;
@@ -47,6 +47,7 @@ void Pipeline::adopt(model::Calibration calibration) {
                        .filter = config_.filter_config()},
       [this](const PoseEstimate& pose) { take_pose(pose); }, on_settled_);
   session_.attach(*localizer_);
+  if (start) localizer_->start_at_next_odometry(*start);
   log_(fmt::format("localizes with model {} by {} of {} calibrated anchors; searching for the pose",
                    filter::model_name(config_.model), localizer_->filter().anchors(), anchors));
 }
@@ -94,7 +95,8 @@ Status Pipeline::status(double now_s) const {
     const link::ReportCounters& node = session_.node(i).decoder().counters();
     status.dropped +=
         node.messages_malformed + node.ranges_not_ok + node.ranges_out_of_bounds + node.ranges_bad_instant;
-    status.links.push_back({session_.node(i).name(), session_.node(i).decoder().time().round_trip_s()});
+    status.links.push_back(
+        {.link = session_.node(i).name(), .round_trip_s = session_.node(i).decoder().time().round_trip_s()});
   }
   return status;
 }

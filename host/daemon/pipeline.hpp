@@ -43,8 +43,8 @@ class Pipeline {
   void advance(double now_s);
 
   // Localizes by this calibration from now on: the first one starts, another one continues from the present
-  // pose.
-  void adopt(model::Calibration calibration);
+  // pose. start: a pose that the first one's search begins with.
+  void adopt(model::Calibration calibration, const std::optional<filter::Start>& start = std::nullopt);
 
   // For other receivers of its measurements.
   [[nodiscard]] Session& session() noexcept { return session_; }

@@ -1,5 +1,8 @@
 #include "host/daemon/pose_message.hpp"
 
+#include <array>
+#include <limits>
+
 #include <nlohmann/json.hpp>
 
 #include "host/io/calibration_file.hpp"
@@ -15,6 +18,42 @@ std::string line(const Json& object) {
   return object.dump(-1, ' ', false, Json::error_handler_t::replace) + "\n";
 }
 
+// 6 x 6, row by row. nlohmann writes non-finite numbers as null.
+Json terms(const Eigen::Matrix<double, 6, 6>& covariance) {
+  Json out = Json::array();
+  for (Eigen::Index row = 0; row < 6; ++row) {
+    for (Eigen::Index column = 0; column < 6; ++column) out.push_back(covariance(row, column));
+  }
+  return out;
+}
+
+// Odometry does not measure vz, the roll rate and the pitch rate: they are unknown.
+Json twist(const PoseEstimate& pose) {
+  constexpr std::array<Eigen::Index, 3> kPlanar{0, 1, 5};
+  Eigen::Matrix<double, 6, 6> covariance =
+      Eigen::Matrix<double, 6, 6>::Constant(std::numeric_limits<double>::quiet_NaN());
+  covariance(kPlanar, kPlanar) = pose.velocity_covariance;
+  return {{"vx_mps", pose.velocity.x()},
+          {"vy_mps", pose.velocity.y()},
+          {"omega_radps", pose.velocity.z()},
+          {"covariance", terms(covariance)}};
+}
+
+Json state_of(const LinkStatus& link) {
+  Json out{{"link", link.link},
+           {"open", !link.error.has_value()},
+           {"error", link.error ? Json(*link.error) : Json(nullptr)}};
+  if (!link.can) return out;
+  out["can"] = Json{{"frames", link.can->frames},
+                    {"frames_overrun", link.can->frames_overrun},
+                    {"controller_overruns", link.can->controller_overruns},
+                    {"error_frames", link.can->error_frames},
+                    {"error_passive", link.can->error_passive},
+                    {"bus_off", link.can->bus_off},
+                    {"restarts", link.can->restarts}};
+  return out;
+}
+
 }  // namespace
 
 std::string version_line() {
@@ -24,24 +63,23 @@ std::string version_line() {
 
 std::string pose_line(const PoseEstimate& pose, std::string_view frame, std::string_view model) {
   const std::string_view reason = filter::reason_name(pose.reason);
-  Json covariance = Json::array();
-  // nlohmann writes non-finite numbers as null.
-  for (Eigen::Index row = 0; row < 6; ++row) {
-    for (Eigen::Index column = 0; column < 6; ++column) covariance.push_back(pose.covariance(row, column));
-  }
-  Json object = {{"class", "POSE"},
-                 {"t_s", pose.t_s},
-                 {"frame", frame},
-                 {"model", model},
-                 {"state", filter::state_name(pose.state)},
-                 {"reason", reason.empty() ? Json(nullptr) : Json(reason)},
-                 {"x_m", pose.x_m},
-                 {"y_m", pose.y_m},
-                 {"z_m", pose.z_m},
-                 {"roll_rad", pose.roll_rad},
-                 {"pitch_rad", pose.pitch_rad},
-                 {"yaw_rad", pose.yaw_rad},
-                 {"covariance", std::move(covariance)}};
+  Json object = {
+      {"class", "POSE"},
+      {"t_s", pose.t_s},
+      {"frame", frame},
+      {"model", model},
+      {"state", filter::state_name(pose.state)},
+      {"reason", reason.empty() ? Json(nullptr) : Json(reason)},
+      {"x_m", pose.x_m},
+      {"y_m", pose.y_m},
+      {"z_m", pose.z_m},
+      {"roll_rad", pose.roll_rad},
+      {"pitch_rad", pose.pitch_rad},
+      {"yaw_rad", pose.yaw_rad},
+      {"covariance", terms(pose.covariance)},
+      {"quaternion", {pose.quaternion.x(), pose.quaternion.y(), pose.quaternion.z(), pose.quaternion.w()}},
+      {"child_frame", "base_link"},
+      {"twist", twist(pose)}};
   if (!pose.floor.empty()) object["floor"] = pose.floor;
   return line(object);
 }
@@ -62,9 +100,10 @@ std::string calibration_line(model::Verdict verdict, std::span<const AnchorProgr
 
 std::string status_line(const Status& status) {
   Json links = Json::array();
-  for (const LinkDelay& link : status.links) {
-    links.push_back(Json{{"link", link.link},
-                         {"round_trip_s", link.round_trip_s ? Json(*link.round_trip_s) : Json(nullptr)}});
+  for (const LinkStatus& link : status.links) {
+    Json object = state_of(link);
+    object["round_trip_s"] = link.round_trip_s ? Json(*link.round_trip_s) : Json(nullptr);
+    links.push_back(std::move(object));
   }
   return line({{"class", "STATUS"},
                {"state", status.state},
@@ -73,6 +112,7 @@ std::string status_line(const Status& status) {
                {"frames_lost", status.frames_lost},
                {"dropped", status.dropped},
                {"links", std::move(links)},
+               {"robot", state_of(status.robot)},
                {"diagnosis", diagnosis::to_json(status.diagnosis)}});
 }
 

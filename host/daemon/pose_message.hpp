@@ -11,14 +11,17 @@
 #include "host/daemon/anchor_learner.hpp"
 #include "host/daemon/localizer.hpp"
 #include "host/diagnosis/finding.hpp"
+#include "host/link/can_counters.hpp"
 
 namespace groma::daemon {
 
-// A node's link and its minimum round-trip delay. Half of that is subtracted from each range's time and
-// bounds its error. None: no request was answered yet.
-struct LinkDelay {
+// A link. A node's also has its minimum round-trip delay: half of that is subtracted from each range's time
+// and bounds its error. None: no request was answered yet.
+struct LinkStatus {
   std::string_view link;
   std::optional<double> round_trip_s{};
+  std::optional<std::string_view> error{};  // why it is not open; none: it is
+  std::optional<link::CanCounters> can{};   // of a link over CAN
 };
 
 // The content of a STATUS line, about once a second.
@@ -27,8 +30,9 @@ struct Status {
   std::uint64_t odometry = 0;
   std::uint64_t ranges = 0;
   std::uint64_t frames_lost = 0;
-  std::uint64_t dropped = 0;  // measurements and lines, for any cause
-  std::vector<LinkDelay> links{};
+  std::uint64_t dropped = 0;        // measurements and lines, for any cause
+  std::vector<LinkStatus> links{};  // of the nodes
+  LinkStatus robot{};
   std::vector<diagnosis::Finding> diagnosis{};
 };
 
@@ -36,8 +40,9 @@ struct Status {
 [[nodiscard]] std::string version_line();
 
 // {"class":"POSE","t_s","frame","model","state","reason","x_m","y_m","z_m","roll_rad","pitch_rad","yaw_rad",
-// "covariance"}: the covariance is 6 x 6, row by row, of x, y, z, roll, pitch, yaw; null is unknown. "floor"
-// follows if the surface has several.
+// "covariance","quaternion","child_frame","twist"}: the covariance is 6 x 6, row by row, of x, y, z, roll,
+// pitch, yaw; that of the twist of vx, vy, vz and the rates about x, y, z. null is unknown. "floor" follows
+// if the surface has several.
 [[nodiscard]] std::string pose_line(const PoseEstimate& pose, std::string_view frame, std::string_view model);
 
 // {"class":"CALIBRATION","verdict","anchors":[{"id","state","coverage","verdict","advice","ranges_used",

@@ -454,6 +454,12 @@ Estimate Filter::estimate_of(const MotionState& now, const Covariance& covarianc
                .ground_variances = covariance.ground_variances()};
   const GroundRows& ground_cross = covariance.ground_cross();
   out.ground_cross = ground_cross.leftCols<3>();
+  if (now.has_sample) {
+    const BodyVelocity velocity = body_velocity(now.core, now.odometry);
+    out.velocity = velocity.value;
+    const Eigen::Matrix3d spread = velocity.d_core * covariance.core() * velocity.d_core.transpose();
+    out.velocity_covariance = 0.5 * (spread + spread.transpose());
+  }
   if (!(delays_.odometry_share() > 0.0)) return out;
 
   // The core's pose is delayed by the odometry delay: propagate it to the present.

@@ -107,6 +107,10 @@ struct Estimate {
   double t_s = 0.0;
   model::PlanarPose pose;
   Eigen::Matrix3d covariance = Eigen::Matrix3d::Zero();  // of x_m, y_m, theta_rad
+  // Of base_link in base_link: vx, vy (m/s) and yaw rate (rad/s), by the odometry held, corrected by the
+  // estimated errors. NaN before the first odometry sample.
+  Eigen::Vector3d velocity = Eigen::Vector3d::Constant(std::numeric_limits<double>::quiet_NaN());
+  Eigen::Matrix3d velocity_covariance = Eigen::Matrix3d::Constant(std::numeric_limits<double>::quiet_NaN());
   double scale_error = 0.0;
   double yaw_rate_bias_radps = 0.0;
   double range_delay_s = 0.0;

@@ -126,6 +126,19 @@ Motion move(const model::Surface& surface, const CoreVector& core, const model::
   return out;
 }
 
+BodyVelocity body_velocity(const CoreVector& core, const model::OdometrySample& sample) noexcept {
+  BodyVelocity out;
+  out.value << sample_velocity(core, sample), sample.omega_radps - core(kYawBias) - core(kOdometryOmega);
+  out.d_core.setZero();
+  out.d_core(0, kScale) = sample.vx_mps;
+  out.d_core(1, kScale) = sample.vy_mps;
+  out.d_core(0, kOdometryVx) = -1.0;
+  out.d_core(1, kOdometryVy) = -1.0;
+  out.d_core(2, kYawBias) = -1.0;
+  out.d_core(2, kOdometryOmega) = -1.0;
+  return out;
+}
+
 Eigen::Vector3d pose_rate(const Eigen::Matrix2d& sideways, const CoreVector& core,
                           const model::OdometrySample& sample) noexcept {
   const Eigen::Vector2d rate = sideways * sample_velocity(core, sample);

@@ -27,6 +27,14 @@ struct Motion {
 [[nodiscard]] Motion move(const model::Surface& surface, const CoreVector& core,
                           const model::OdometrySample& sample, double dt_s, int chart = 0) noexcept;
 
+// Velocity of base_link in base_link: vx, vy (m/s) and yaw rate (rad/s), by the corrected odometry.
+struct BodyVelocity {
+  Eigen::Vector3d value;
+  Eigen::Matrix<double, 3, kCoreSize> d_core;  // of value, w.r.t. the core state
+};
+[[nodiscard]] BodyVelocity body_velocity(const CoreVector& core,
+                                         const model::OdometrySample& sample) noexcept;
+
 // Time derivatives of x, y, theta; sideways: the upper left 2 x 2 of R_WR at the pose.
 [[nodiscard]] Eigen::Vector3d pose_rate(const Eigen::Matrix2d& sideways, const CoreVector& core,
                                         const model::OdometrySample& sample) noexcept;

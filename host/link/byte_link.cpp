@@ -16,7 +16,9 @@
 #include "host/link/can_log.hpp"
 #include "host/link/can_path.hpp"
 #include "host/link/descriptor.hpp"
+#include "host/link/network_link.hpp"
 #include "host/link/socket_can_link.hpp"
+#include "host/link/usb_port.hpp"
 
 namespace groma::link {
 namespace {
@@ -75,6 +77,8 @@ OpenedLink open_can_log(const std::string& path) {
 OpenedLink open_link(const std::string& path, unsigned baud) {
   if (is_can_path(path)) return open_socket_can(path);
   if (is_can_log_path(path)) return open_can_log(path);
+  if (is_network_path(path)) return open_network(path);
+  if (is_usb_port_path(path)) return open_usb_port(path, baud);
   struct stat status {};
   if (::stat(path.c_str(), &status) != 0) return {nullptr, explain_open_error(path, errno)};
   if (S_ISSOCK(status.st_mode)) return open_unix_socket(path);
@@ -85,6 +89,13 @@ OpenedLink open_link(const std::string& path, unsigned baud) {
     return pty ? open_pty(path, baud) : open_serial_port(path, baud);
   }
   return {nullptr, explain_open_error(path, S_ISDIR(status.st_mode) ? EISDIR : ENOTTY)};
+}
+
+std::function<OpenedLink()> link_opener(const std::string& path, unsigned baud) {
+  if (is_network_path(path)) {
+    return [opener = std::make_shared<NetworkOpener>(path)] { return opener->open(); };
+  }
+  return [path, baud] { return open_link(path, baud); };
 }
 
 }  // namespace groma::link

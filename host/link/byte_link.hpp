@@ -1,14 +1,15 @@
-// Byte links with one interface: a serial port, a pseudo-terminal, a node on a CAN bus, a Unix socket or a
-// recording.
+// Byte links with one interface: a serial port, a pseudo-terminal, a node on a CAN bus, a serial server, a
+// Unix socket or a recording.
 #pragma once
 
 #include <cstddef>
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <span>
 #include <string>
-#include <string_view>
-#include <vector>
+
+#include "host/link/can_counters.hpp"
 
 namespace groma::link {
 
@@ -32,12 +33,6 @@ struct ReadResult {
   bool gone = false;  // the link has ended: close it and reopen it if needed
 };
 
-// How often something happened on a link since it was opened; the name is a word with underscores.
-struct LinkEvent {
-  std::string_view name;
-  std::uint64_t count = 0;
-};
-
 // An open link. Reading and writing never block; destruction closes it. Not thread-safe.
 class ByteLink {
  public:
@@ -56,9 +51,8 @@ class ByteLink {
 
   // Events of the link since the last call that a user should know of, on one line; usually empty.
   [[nodiscard]] virtual std::string take_news() { return {}; }
-
-  // What the link counts, for monitoring; usually nothing.
-  [[nodiscard]] virtual std::vector<LinkEvent> events() const { return {}; }
+  // Of a link over CAN; null for others.
+  [[nodiscard]] virtual const CanCounters* can_counters() const noexcept { return nullptr; }
 
  protected:
   ByteLink() = default;
@@ -68,13 +62,17 @@ class ByteLink {
 struct OpenedLink {
   std::unique_ptr<ByteLink> link;
   LinkError error;
+  bool pending = false;  // a connection is under way: try again soon
 };
 
 // Opens `path` by its kind: a pseudo-terminal by termios (libserialport 0.1.1 refuses those), another
-// character device by libserialport, a Unix socket, a file (a recording, which is replayed), or a node on a
-// CAN bus or in a CAN log (see can_path.hpp). Terminals are set raw, 8N1, without flow control, to `baud`
-// bit/s, and locked against a second reader.
+// character device by libserialport, a Unix socket, a file (a recording, which is replayed), a node on a CAN
+// bus or in a CAN log (see can_path.hpp), a serial server (network_link.hpp) or the port of a USB device by
+// its serial number (usb_port.hpp). Terminals are set raw, 8N1, without flow control, to `baud` bit/s, and
+// locked against a second reader. Blocks while it connects to a serial server.
 [[nodiscard]] OpenedLink open_link(const std::string& path, unsigned baud);
+// The same for repeated use, without blocking: each call of the result tries once, or continues.
+[[nodiscard]] std::function<OpenedLink()> link_opener(const std::string& path, unsigned baud);
 
 [[nodiscard]] OpenedLink open_serial_port(const std::string& path, unsigned baud);
 [[nodiscard]] OpenedLink open_pty(const std::string& path, unsigned baud);

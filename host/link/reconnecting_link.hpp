@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <functional>
 #include <memory>
+#include <optional>
 #include <span>
 #include <string>
 
@@ -24,6 +25,7 @@ class ReconnectingLink {
   // The wait between attempts doubles from the first to the longest; received bytes reset it to the first.
   static constexpr double kFirstWait_s = 0.1;
   static constexpr double kLongestWait_s = 3.0;
+  static constexpr double kPendingWait_s = 0.02;  // while a connection is under way
 
   explicit ReconnectingLink(Opener open) : open_(std::move(open)) {}
 
@@ -39,9 +41,11 @@ class ReconnectingLink {
   // Time of the next attempt; meaningless while the link is open.
   [[nodiscard]] double next_attempt_s() const noexcept { return next_attempt_s_; }
 
-  // The error of the last failed attempt.
+  // The error of the last failed attempt; none while the link is open.
   [[nodiscard]] const LinkError& last_error() const noexcept { return last_error_; }
   [[nodiscard]] const LinkCounters& counters() const noexcept { return counters_; }
+  // Of a link over CAN, over all reopenings; nothing for others.
+  [[nodiscard]] std::optional<CanCounters> can_counters() const;
 
  private:
   Opener open_;
@@ -50,6 +54,7 @@ class ReconnectingLink {
   double wait_s_ = kFirstWait_s;
   LinkError last_error_;
   LinkCounters counters_;
+  std::optional<CanCounters> can_before_;  // of earlier links
 };
 
 }  // namespace groma::link

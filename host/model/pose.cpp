@@ -4,6 +4,7 @@
 #include <numbers>
 
 #include <Eigen/Eigenvalues>
+#include <Eigen/Geometry>
 
 namespace groma::model {
 
@@ -127,6 +128,8 @@ SpatialEstimate on_surface(const Surface& surface, const PlanarPose& planar,
   out.roll_rad = std::atan2(rotation(2, 1), rotation(2, 2));
   // Not -0 on level ground.
   out.pitch_rad = std::atan2(0.0 - rotation(2, 0), cos_pitch);
+  const Eigen::Quaterniond turned(rotation);
+  out.quaternion = turned.w() < 0.0 ? -turned.coeffs() : turned.coeffs();
   out.chart = planar.chart;
 
   Eigen::Matrix<double, 6, 6> by = Eigen::Matrix<double, 6, 6>::Zero();

@@ -60,6 +60,7 @@ struct SpatialEstimate {
   double z_m = 0.0;
   double roll_rad = 0.0;
   double pitch_rad = 0.0;
+  Eigen::Vector4d quaternion{0.0, 0.0, 0.0, 1.0};  // x, y, z, w of R_WR; w is not negative
   int chart = 0;
   Eigen::Matrix<double, 6, 6> covariance = Eigen::Matrix<double, 6, 6>::Zero();  // x, y, z, roll, pitch, yaw
 };

@@ -6,6 +6,7 @@
 
 #include <chrono>
 #include <cmath>
+#include <cstring>
 #include <fstream>
 #include <functional>
 #include <map>
@@ -106,12 +107,14 @@ class GromadOnCan : public ::testing::Test {
     static_cast<void>(read_text(GROMAD_PATH));
   }
 
-  std::string config(const std::string& scheme) const {
+  // robot: where the odometry comes from.
+  std::string config(const std::string& scheme,
+                     const std::string& robot = "robot_socket: robot.sock\n") const {
     std::string text = "schema: 1\nnodes:\n";
     for (const unsigned tag : kTags)
       text += fmt::format("  - {{path: {}:{}/{}}}\n", scheme, bus_.name(), tag);
     // A long lag: on a busy machine the virtual machine is slow, and this test is not about delay.
-    text += "robot_socket: robot.sock\npose_stream: {port: 0}\nreorder_lag_s: 0.5\n";
+    text += robot + "pose_stream: {port: 0}\nreorder_lag_s: 0.5\n";
     folder_.write("gromad.yaml", text + read_text(kRecording / "site.yaml"));
     return (folder_ / "gromad.yaml").string();
   }
@@ -156,11 +159,32 @@ class GromadOnCan : public ::testing::Test {
         std::this_thread::sleep_until(due);
       }
       if (robots_turn) {
-        robot_.give((line++)->second);
+        give_line((line++)->second, tags);
       } else {
         tags.send((frame++)->frame);
       }
     }
+  }
+
+  // By the socket, or odometry by a frame of kDbc.
+  void give_line(const std::string& line, const CanParticipant& bus) {
+    if (!odometry_over_can_) return robot_.give(line);
+    const json object = json::parse(line);
+    if (object.at("class") != "ODOMETRY") return;
+    const auto raw = [&](const char* key, double step) {
+      return static_cast<std::int32_t>(std::lround(object.at(key).get<double>() / step));
+    };
+    const auto vx = static_cast<std::int16_t>(raw("vx_mps", 5e-4));
+    const auto vy = static_cast<std::int16_t>(raw("vy_mps", 5e-4));
+    const std::int32_t omega = raw("omega_radps", 1e-6);
+    can_frame frame{};
+    frame.can_id = 0x101;
+    frame.can_dlc = 8;
+    std::memcpy(frame.data, &vx, sizeof(vx));
+    std::memcpy(frame.data + 2, &vy, sizeof(vy));
+    std::memcpy(frame.data + 4, &omega, sizeof(omega));
+    bus.send_raw(frame);
+    ++odometry_sent_;
   }
 
   void replay(const std::string& scheme, const std::string& name) {
@@ -204,6 +228,8 @@ class GromadOnCan : public ::testing::Test {
   json status_ = json::object();
   std::uint64_t frames_lost_ = 0;
   std::uint64_t dropped_late_ = 0;
+  bool odometry_over_can_ = false;
+  std::uint64_t odometry_sent_ = 0;
 };
 
 TEST_F(GromadOnCan, LosesNoRangeOfThreeTagsInClassicFrames) {
@@ -216,6 +242,35 @@ TEST_F(GromadOnCan, LosesNoRangeOfThreeTagsInFdFrames) {
   replay("canfd", "fd.log");
   EXPECT_EQ(frames_lost_, 0U);
   EXPECT_EQ(dropped_late_, 0U);
+}
+
+TEST_F(GromadOnCan, LosesNothingWithOdometryOnTheSameBus) {
+  odometry_over_can_ = true;
+  folder_.write("robot.dbc", R"(BO_ 257 Drive: 8 Base
+ SG_ Speed : 0|16@1- (0.0005,0) [-16|16] "m/s" Robot
+ SG_ Side : 16|16@1- (0.0005,0) [-16|16] "m/s" Robot
+ SG_ Rate : 32|32@1- (0.000001,0) [-10|10] "rad/s" Robot
+)");
+  const link::CanLog log = bus_log("classic.log");
+  const link::ReportCounters expected = recorded("classic.log");
+  Gromad gromad({"--config", config("can",
+                                    "robot: {can: bus0, dbc: robot.dbc, signals: {vx_mps: Drive.Speed, "
+                                    "vy_mps: Drive.Side, omega_radps: Drive.Rate}}\n")});
+  ASSERT_TRUE(listen_until(gromad, [&] { return client_.has_value(); })) << gromad.log();
+  play(log, gromad);
+  const std::uint64_t all = expected.ranges + expected.ranges_not_ok;
+  const auto has_all = [&] {
+    return status_.value("ranges", 0U) + status_.value("dropped", 0U) >= all &&
+           status_.value("odometry", 0U) >= odometry_sent_;
+  };
+  EXPECT_TRUE(listen_until(gromad, has_all)) << status_ << "\n" << gromad.log();
+  EXPECT_GT(odometry_sent_, 100U);
+  EXPECT_EQ(status_.value("odometry", 0U), odometry_sent_);
+  EXPECT_EQ(status_.value("frames_lost", 1U), 0U);
+  EXPECT_EQ(status_.at("robot").at("can").at("frames"), odometry_sent_);
+  EXPECT_EQ(status_.at("robot").at("can").at("frames_overrun"), 0);
+  gromad.terminate();
+  EXPECT_EQ(gromad.exit_code(), io::kGood);
 }
 
 TEST_F(GromadOnCan, CountsFramesThatModulesLoseWhileBusOffAndContinues) {
@@ -252,13 +307,19 @@ TEST_F(GromadOnCan, RequestsNodeIdentitiesAndSurvivesTheBusGoingDown) {
   EXPECT_EQ(gromad.exit_code(), io::kGood);
 }
 
-TEST_F(GromadOnCan, ExitsIfTheInterfaceDoesNotExist) {
+TEST_F(GromadOnCan, WaitsForAnInterfaceThatDoesNotExist) {
   folder_.write("gromad.yaml",
                 "schema: 1\nnodes: [{path: can:can7/1}]\nrobot_socket: robot.sock\npose_stream: {port: 0}\n" +
                     read_text(kRecording / "site.yaml"));
   Gromad gromad({"--config", (folder_ / "gromad.yaml").string()});
-  EXPECT_EQ(gromad.exit_code(), io::kUnavailable);
-  EXPECT_THAT(gromad.log(), HasSubstr("can:can7/1: there is no interface can7"));
+  const auto has_logged = [&](const std::string& text) {
+    return listen_until(gromad, [&] { return gromad.log().find(text) != std::string::npos; });
+  };
+  EXPECT_TRUE(has_logged("can:can7/1: there is no interface can7")) << gromad.log();
+  const VirtualCan late("can7");
+  EXPECT_TRUE(has_logged("can:can7/1: opened")) << gromad.log();
+  gromad.terminate();
+  EXPECT_EQ(gromad.exit_code(), io::kGood);
 }
 
 }  // namespace

@@ -21,6 +21,7 @@
 #include "host/link/byte_link.hpp"
 #include "host/link/reconnecting_link.hpp"
 #include "host/link/report_decoder.hpp"
+#include "host/link/usb_port.hpp"
 #include "test/host/link/node_frames.hpp"
 
 namespace groma::link {
@@ -182,6 +183,19 @@ TEST_F(SerialPort, NamesTheGroupThatMayOpenIt) {
   EXPECT_FALSE(opened.link);
   EXPECT_EQ(opened.error.fault, LinkFault::kPermission) << opened.error.message;
   EXPECT_THAT(opened.error.message, HasSubstr("sudo usermod -aG dialout $USER"));
+}
+
+TEST_F(SerialPort, IsFoundByTheSerialNumberOfItsDevice) {
+  const std::vector<UsbPort> ports = list_usb_ports();
+  ASSERT_EQ(ports.size(), 1U);
+  EXPECT_EQ("/dev/" + ports[0].name, kPort);
+  const OpenedLink opened = open_link("serial:" + ports[0].serial, kBaud);
+  ASSERT_TRUE(opened.link) << opened.error.message;
+  const std::vector<std::uint8_t> bytes{1, 2, 3};
+  far_end_.send(bytes);
+  EXPECT_EQ(read_until(*opened.link, bytes.size()), bytes);
+  EXPECT_THAT(open_link("serial:none", kBaud).error.message,
+              HasSubstr("connected serial numbers: " + ports[0].serial + " (ttyUSB0)"));
 }
 
 TEST_F(SerialPort, IsGoneWhenUnpluggedAndComesBackWhenPluggedIn) {

@@ -171,6 +171,50 @@ TEST_F(ConfigFile, KeepsThePathsOfNodesOnACanBus) {
   EXPECT_THAT(error_with("/dev/ttyACM7}", "can:can0/1}\n  - {path: canfd:can0/1}"), HasSubstr("twice"));
 }
 
+TEST_F(ConfigFile, KeepsTheAddressesOfSerialServersAndUsbDevices) {
+  std::string text = kGood;
+  text.replace(text.find("path: tag-1"), 11, "path: tcp://gate:4001");
+  text.replace(text.find("path: /dev/ttyACM7"), 18, "serial: 000760123456");
+  const Config config = read(text);
+  EXPECT_EQ(config.nodes[0].path, "tcp://gate:4001");
+  EXPECT_EQ(config.nodes[0].baud, 115200U);
+  EXPECT_EQ(config.nodes[1].path, "serial:000760123456");
+
+  const std::string second = "path: /dev/ttyACM7}";
+  EXPECT_THAT(error_with(second, "path: tcp://gate}"),
+              HasSubstr(":4:12: nodes[1].path is no address; write it"));
+  EXPECT_THAT(error_with(second, "baud: 115200}"), HasSubstr("nodes[1] must have either 'path' or 'serial'"));
+  EXPECT_THAT(error_with(second, "path: tag, serial: '7'}"),
+              HasSubstr("must have either 'path' or 'serial'"));
+  EXPECT_THAT(error_with(second, "path: can:can0/1, serial: '7'}"),
+              HasSubstr("cannot be combined with a node"));
+  EXPECT_THAT(error_with(second, "serial: ''}"), HasSubstr("nodes[1].serial is empty"));
+  EXPECT_THAT(error_with(second, "serial: '007'}\n  - {serial: '7'}"), HasSubstr("nodes[2] is given twice"));
+}
+
+TEST_F(ConfigFile, KnowsWhereTheRobotsLinesComeFrom) {
+  const std::string socket = "robot_socket: robot.sock";
+  const auto with = [&](const std::string& robot) {
+    std::string text = kGood;
+    text.replace(text.find(socket), socket.size(), robot);
+    return read(text);
+  };
+  EXPECT_EQ(with("robot_socket: tcp://robot:4723").robot_socket, "tcp://robot:4723");
+  EXPECT_EQ(with("robot: {listen: robot.sock}").robot_listen, folder_ / "robot.sock");
+  const Config config = with("robot: {listen: 'udp://[::1]:4723'}");
+  EXPECT_EQ(config.robot_listen, "udp://[::1]:4723");
+  EXPECT_TRUE(config.robot_socket.empty());
+  EXPECT_FALSE(config.robot_can);
+
+  EXPECT_THAT(error_with(socket, "robot: {listen: 'tcp://here:4723'}"),
+              HasSubstr("write tcp://127.0.0.1:4723"));
+  EXPECT_THAT(error_with(socket, "robot: {listen: 'tcp://127.0.0.1'}"),
+              HasSubstr("robot.listen is no address"));
+  EXPECT_THAT(error_with(socket, "robot: {listen: a, can: can0}"), HasSubstr("unknown key 'can'"));
+  EXPECT_THAT(error_with(socket, "robot: {}"), HasSubstr("robot lacks the key can"));
+  EXPECT_THAT(error_with(socket, "robot: a"), HasSubstr("robot has to be a map"));
+}
+
 TEST_F(ConfigFile, ReadsASplineFromItsFolder) {
   std::string rows = "# grid\n0,0,10,10,4,4\n";
   for (int i = 0; i < 4; ++i) rows += "1.5,1.5,1.5,1.5\n";

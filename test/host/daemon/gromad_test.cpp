@@ -124,13 +124,12 @@ speed: {}
   TemporaryFolder folder_;
   std::vector<json> objects_;
   std::vector<double> ages_s_;  // of poses on arrival, by the site's clock
+  std::optional<StreamClient> client_;
 
  private:
   void connect(Gromad& gromad) {
     if (const auto port = pose_stream_port(gromad)) client_.emplace(*port);
   }
-
-  std::optional<StreamClient> client_;
 };
 
 TEST_F(GromadTest, DropsAndCountsImpossibleSamples) {
@@ -478,6 +477,28 @@ TEST_F(GromadTest, ServesItsCounters) {
   EXPECT_EQ(metrics.at("groma_stream_clients").samples.at("groma_stream_clients").at({}), 1.0);
 }
 
+TEST_F(GromadTest, StartsFromItsLastPoseAfterARestart) {
+  SimulatedSite site(folder_.path(), kSpeed);
+  write_surveyed(site);
+  const std::string config =
+      folder_.write("gromad.yaml", config_text("{file: calibration.yaml}") + "last_pose: last-pose.json\n")
+          .string();
+  {
+    Gromad gromad({"--config", config});
+    ASSERT_TRUE(run_until(site, gromad, [&] { return poses("TRACKING") >= 100; })) << gromad.log();
+    EXPECT_EQ(gromad.log().find("last pose"), std::string::npos) << gromad.log();
+    gromad.terminate();
+    EXPECT_EQ(gromad.exit_code(), io::kGood) << gromad.log();
+  }
+  site.pose_priors = false;
+  client_.reset();
+  objects_.clear();
+  Gromad gromad({"--config", config});
+  ASSERT_TRUE(run_until(site, gromad, [&] { return poses("TRACKING") >= 100; })) << gromad.log();
+  EXPECT_THAT(gromad.log(), HasSubstr("starts from the last pose, "));
+  EXPECT_LT(largest_error_m(200), 0.4);
+}
+
 TEST_F(GromadTest, EndsWithTheExitCodeOfTheFault) {
   {
     Gromad gromad({});
@@ -500,8 +521,46 @@ TEST_F(GromadTest, EndsWithTheExitCodeOfTheFault) {
   EXPECT_EQ(code_of(config_text("{file: none.yaml}"), log), io::kBadData);
   EXPECT_THAT(log, HasSubstr("none.yaml"));
   EXPECT_EQ(code_of(config_text("{drive_s: 100, output: no/such/folder.yaml}"), log), io::kBadConfiguration);
+  std::filesystem::create_directory(folder_ / "tag-1");
   EXPECT_EQ(code_of(config_text("{drive_s: 100}"), log), io::kUnavailable);
-  EXPECT_THAT(log, HasSubstr((folder_ / "tag-1").string() + ": no such device"));
+  EXPECT_THAT(log, HasSubstr((folder_ / "tag-1").string() + ": cannot be used as a link"));
+}
+
+TEST_F(GromadTest, WaitsForLinksThatAreMissingAtTheStart) {
+  {
+    const SimulatedSite site(folder_.path(), kSpeed);
+    write_surveyed(site);
+  }
+  std::filesystem::remove(folder_ / "tag-1");
+  std::filesystem::remove(folder_ / "robot.sock");
+  Gromad gromad({"--config", folder_.write("gromad.yaml", config_text("{file: calibration.yaml}")).string()});
+  std::optional<StreamClient> client;
+  const auto status = [&]() -> json {
+    if (!client) {
+      if (const auto port = pose_stream_port(gromad)) client.emplace(*port);
+    }
+    if (!client) return {};
+    for (const json& object : client->read()) {
+      if (object.at("class") == "STATUS") return object;
+    }
+    return {};
+  };
+  const auto deadline = std::chrono::steady_clock::now() + kPatience;
+  json waiting;
+  while (waiting.is_null() && gromad.running() && std::chrono::steady_clock::now() < deadline) {
+    waiting = status();
+    std::this_thread::sleep_for(std::chrono::milliseconds(5));
+  }
+  ASSERT_FALSE(waiting.is_null()) << gromad.log();
+  EXPECT_EQ(waiting.at("links")[0].at("open"), false);
+  EXPECT_THAT(waiting.at("links")[0].at("error").get<std::string>(), HasSubstr("tag-1: no such device"));
+  EXPECT_EQ(waiting.at("robot").at("open"), false);
+  EXPECT_THAT(gromad.log(), HasSubstr((folder_ / "robot.sock").string() + ": no such device"));
+  client.reset();
+
+  SimulatedSite site(folder_.path(), kSpeed);
+  ASSERT_TRUE(run_until(site, gromad, [&] { return poses("TRACKING") >= 50; })) << gromad.log();
+  EXPECT_THAT(gromad.log(), HasSubstr("tag-1: opened"));
 }
 
 TEST_F(GromadTest, ReportsAPortItMayNotOpen) {

@@ -7,6 +7,7 @@
 #include <array>
 #include <cmath>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -73,6 +74,34 @@ TEST(PoseOn, AnglesRebuildTheRotation) {
   const Eigen::Matrix3d rotation = model::pose_on_surface(surface, planar).pose.rotation;
   const double yaw_zyx = std::atan2(rotation(1, 0), rotation(0, 0));
   EXPECT_LT((model::rotation_from_zyx(yaw_zyx, pose.pitch_rad, pose.roll_rad) - rotation).norm(), 1e-12);
+}
+
+// Against quaternions: the smallest rotation from z to the numerical normal, and then the turn by the
+// heading.
+TEST(PoseOn, QuaternionIsTheTiltThenTheHeading) {
+  const model::Surface surface = hills();
+  for (const model::PlanarPose planar :
+       {model::PlanarPose{1.0, 2.0, 0.7}, {-3.0, 0.5, -2.9}, {2.2, -1.7, 3.1}, {0.0, 0.0, -0.01}}) {
+    constexpr double kStep = 1e-5;
+    const auto height = [&](double x_m, double y_m) { return surface.at(x_m, y_m).z_m; };
+    const double gx =
+        (height(planar.x_m + kStep, planar.y_m) - height(planar.x_m - kStep, planar.y_m)) / 2e-5;
+    const double gy =
+        (height(planar.x_m, planar.y_m + kStep) - height(planar.x_m, planar.y_m - kStep)) / 2e-5;
+    const double norm = std::sqrt(1.0 + gx * gx + gy * gy);
+    // Half way between z and the normal n: the quaternion (z x n, 1 + z n), normalized.
+    const double tilt_w = std::sqrt(0.5 * (1.0 + 1.0 / norm));
+    const double tilt_x = gy / norm / (2.0 * tilt_w);
+    const double tilt_y = -gx / norm / (2.0 * tilt_w);
+    const double c = std::cos(0.5 * planar.theta_rad);
+    const double s = std::sin(0.5 * planar.theta_rad);
+    Eigen::Vector4d expected(tilt_x * c + tilt_y * s, tilt_y * c - tilt_x * s, tilt_w * s, tilt_w * c);
+    if (expected.w() < 0.0) expected = -expected;
+    const PoseEstimate pose = pose_at(surface, planar, Eigen::Matrix3d::Identity());
+    EXPECT_LT((pose.quaternion - expected).norm(), 1e-8) << planar.theta_rad;
+    EXPECT_NEAR(pose.quaternion.norm(), 1.0, 1e-14);
+    EXPECT_GE(pose.quaternion.w(), 0.0);
+  }
 }
 
 // A robot on a circle of radius 5 m at 1 m/s on flat ground, and ranges without error.
@@ -205,6 +234,60 @@ TEST_F(Circle, WaitsForAPosePriorThenTracksThenReportsNoRanges) {
   EXPECT_EQ(poses.back().reason, filter::Reason::kNoRanges);
   drive(localizer, 12.0, 12.2, true);
   EXPECT_EQ(poses.back().state, filter::State::kTracking);
+}
+
+TEST_F(Circle, GivesTheVelocityOfTheCorrectedOdometry) {
+  for (const bool ahead : {false, true}) {
+    std::vector<PoseEstimate> poses;
+    Localizer localizer(setup_, [&](const PoseEstimate& pose) { poses.push_back(pose); });
+    localizer.on_odometry(odometry_at(0.0));
+    localizer.on_pose_prior(prior(0.0));
+    // The wheels are 3 % larger than configured.
+    const auto scaled_at = [&](double t_s) {
+      model::OdometrySample sample = odometry_at(t_s);
+      sample.vx_mps /= 1.03;
+      return sample;
+    };
+    for (int i = 1; i < 3000; ++i) {
+      if (ahead) localizer.on_odometry_ahead(scaled_at(0.02 * i));
+      localizer.on_odometry(scaled_at(0.02 * i));
+      localizer.on_range(range(0.02 * i + 0.01, static_cast<std::size_t>(i % 4)));
+    }
+    const PoseEstimate& last = poses.back();
+    EXPECT_NEAR(last.velocity.x(), kRadius_m * kOmega, 0.01);
+    EXPECT_NEAR(last.velocity.y(), 0.0, 0.01);
+    EXPECT_NEAR(last.velocity.z(), kOmega, 0.005);
+    EXPECT_LT(std::sqrt(last.velocity_covariance(0, 0)), std::sqrt(poses.front().velocity_covariance(0, 0)));
+    EXPECT_GT(last.velocity_covariance(2, 2), 0.0);
+  }
+}
+
+TEST_F(Circle, StartsAtAGivenPoseAndLeavesItIfTheRangesDisagree) {
+  const auto seconds_to_track = [&](const std::optional<filter::Start>& start) {
+    std::vector<PoseEstimate> poses;
+    Localizer localizer(setup_, [&](const PoseEstimate& pose) { poses.push_back(pose); });
+    if (start) localizer.start_at_next_odometry(*start);
+    drive(localizer, 100.0, 130.0, true);
+    const auto tracks = std::find_if(poses.begin(), poses.end(), [](const PoseEstimate& pose) {
+      return pose.state == filter::State::kTracking;
+    });
+    if (tracks == poses.end()) return 1e9;
+    for (auto pose = tracks; pose != poses.end(); ++pose) {
+      const auto where = truth(pose->t_s);
+      EXPECT_LT(std::hypot(pose->x_m - where.x_m, pose->y_m - where.y_m), 0.4) << pose->t_s;
+    }
+    return tracks->t_s - 100.0;
+  };
+  const double cold_s = seconds_to_track(std::nullopt);
+  filter::Start start{.pose = truth(100.0), .position_sigma_m = 1.0, .heading_sigma_rad = 0.3};
+  start.pose.x_m += 0.7;
+  start.pose.theta_rad += 0.2;
+  const double warm_s = seconds_to_track(start);
+  EXPECT_LT(warm_s, 1.5);
+  EXPECT_LT(warm_s, cold_s);
+  // The robot was carried to the other side of its circle.
+  start.pose = truth(100.0 + 3.14159 / kOmega);
+  EXPECT_LT(seconds_to_track(start), 20.0);
 }
 
 TEST_F(Circle, FindsItsPoseWithoutAPriorAndAgainWhenTheClockWasSet) {

@@ -174,6 +174,9 @@ TEST(PoseMessage, UnknownTermsAreNull) {
   pose.covariance(2, 2) = std::numeric_limits<double>::quiet_NaN();
   pose.covariance(0, 5) = 0.125;
   pose.state = filter::State::kTracking;
+  pose.quaternion = {0.1, -0.2, 0.3, 0.9};
+  pose.velocity = {1.25, -0.5, 0.75};
+  pose.velocity_covariance << 1.0, 2.0, 3.0, 2.0, 4.0, 5.0, 3.0, 5.0, 6.0;
   const std::string line = pose_line(pose, "map", "schmidt");
   EXPECT_EQ(line.back(), '\n');
   EXPECT_EQ(line.find('\n'), line.size() - 1);
@@ -185,9 +188,43 @@ TEST(PoseMessage, UnknownTermsAreNull) {
   ASSERT_EQ(object.at("covariance").size(), 36U);
   EXPECT_EQ(object.at("covariance")[5], 0.125);
   EXPECT_TRUE(object.at("covariance")[14].is_null());
+  EXPECT_EQ(object.at("quaternion"), json({0.1, -0.2, 0.3, 0.9}));
+  EXPECT_EQ(object.at("child_frame"), "base_link");
+  const json& twist = object.at("twist");
+  EXPECT_EQ(twist.at("vx_mps"), 1.25);
+  EXPECT_EQ(twist.at("vy_mps"), -0.5);
+  EXPECT_EQ(twist.at("omega_radps"), 0.75);
+  // Of vx, vy, vz and the rates about x, y, z; vz and the rates about x and y are unknown.
+  const json none;
+  EXPECT_EQ(twist.at("covariance"),
+            json({1.0,  2.0,  none, none, none, 3.0,  2.0,  4.0,  none, none, none, 5.0,
+                  none, none, none, none, none, none, none, none, none, none, none, none,
+                  none, none, none, none, none, none, 3.0,  5.0,  none, none, none, 6.0}));
   EXPECT_EQ(json::parse(version_line()).at("class"), "VERSION");
   EXPECT_EQ(json::parse(status_line({.state = "TRACKING", .ranges = 5})).at("ranges"), 5);
   EXPECT_TRUE(json::parse(pose_line(pose, "m\xff", "schmidt")).is_object());
+}
+
+TEST(StatusMessage, HasTheStateOfEachLink) {
+  Status status{.state = "TRACKING"};
+  status.links.push_back(
+      {.link = "can:can0/1", .round_trip_s = 0.001, .can = link::CanCounters{.bus_off = 2}});
+  status.links.push_back({.link = "/dev/ttyACM0", .error = "no such device"});
+  status.robot = {.link = "robot.sock"};
+  const json object = json::parse(status_line(status));
+  const json& can = object.at("links")[0];
+  EXPECT_EQ(can.at("link"), "can:can0/1");
+  EXPECT_EQ(can.at("open"), true);
+  EXPECT_TRUE(can.at("error").is_null());
+  EXPECT_EQ(can.at("round_trip_s"), 0.001);
+  EXPECT_EQ(can.at("can").at("bus_off"), 2);
+  EXPECT_EQ(can.at("can").at("error_frames"), 0);
+  const json& serial = object.at("links")[1];
+  EXPECT_EQ(serial.at("open"), false);
+  EXPECT_EQ(serial.at("error"), "no such device");
+  EXPECT_TRUE(serial.at("round_trip_s").is_null());
+  EXPECT_FALSE(serial.contains("can"));
+  EXPECT_EQ(object.at("robot"), json({{"link", "robot.sock"}, {"open", true}, {"error", nullptr}}));
 }
 
 }  // namespace

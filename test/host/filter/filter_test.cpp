@@ -227,6 +227,42 @@ TEST(Filter, DeadReckoningIsConsistentOverManyDrives) {
   for (int i = 0; i < 3; ++i) EXPECT_NEAR(scatter(i, i) / stated(i, i), 1.0, 4.0 * std::sqrt(2.0 / kDrives));
 }
 
+// With the noise of wheels, which dominates, and without, so that scale and bias do. The noise is as
+// configured: its estimate from the 60 samples of a drive is itself uncertain.
+TEST(Filter, VelocityIsConsistentOverManyDrives) {
+  const model::Surface surface = testing::hills(0.2);
+  constexpr int kDrives = 200;
+  for (const double noise : {1.0, 0.02}) {
+    Random random(66);
+    Eigen::Matrix3d scatter = Eigen::Matrix3d::Zero();
+    Eigen::Matrix3d stated = Eigen::Matrix3d::Zero();
+    double sum = 0.0;
+    Config config = testing::config_of(Model::kSchmidt);
+    config.odometry = {0.03 * noise, 0.03 * noise, 0.01 * noise};
+    config.tunes_noise = false;
+    for (int i = 0; i < kDrives; ++i) {
+      const testing::Drive drive =
+          testing::drive(surface, testing::six_anchors(), {},
+                         {.duration_s = 3.0, .range_s = 0.1, .noise = config.odometry}, random);
+      const auto filter =
+          std::make_unique<Filter>(surface, testing::three_tags(), testing::six_anchors(), config);
+      EXPECT_FALSE(filter->estimate().velocity.allFinite()) << "no odometry yet";
+      filter->process(drive.odometry.front());
+      filter->start(
+          {.t_s = 0.0, .pose = {0.1 * random.gaussian(), 0.1 * random.gaussian(), 0.05 * random.gaussian()}});
+      Feeder(drive).until(3.0, *filter);
+      const Estimate estimate = filter->estimate();
+      const Eigen::Vector3d e = estimate.velocity - testing::true_velocity(drive.odometry.back().t_s);
+      scatter += e * e.transpose() / kDrives;
+      stated += estimate.velocity_covariance / kDrives;
+      sum += e.dot(estimate.velocity_covariance.inverse() * e);
+    }
+    EXPECT_NEAR(sum / (3.0 * kDrives), 1.0, 4.0 * std::sqrt(2.0 / (3.0 * kDrives))) << noise;
+    for (int i = 0; i < 3; ++i)
+      EXPECT_NEAR(scatter(i, i) / stated(i, i), 1.0, 4.0 * std::sqrt(2.0 / kDrives)) << noise;
+  }
+}
+
 class Consistency : public ::testing::TestWithParam<Model> {};
 INSTANTIATE_TEST_SUITE_P(Filter, Consistency,
                          ::testing::Values(Model::kSchmidt, Model::kAnchorStates, Model::kJoint),

@@ -102,6 +102,30 @@ TEST(Move, IsContinuousWhereTheTurnVanishes) {
   EXPECT_TRUE(move(surface, core, {0.0, 1.0, 0.2, 0.0}, 1e-3).d_core.allFinite());
 }
 
+TEST(BodyVelocity, IsTheMotionAlongTheSurfaceInTheRobotsAxes) {
+  const model::Surface surface = testing::hills(1.0);
+  Random random(5);
+  for (int i = 0; i < 100; ++i) {
+    const CoreVector core = some_core(random);
+    const model::OdometrySample row = some_row(random);
+    const double h = 1e-6;
+    const auto place = [&](double dt_s) {
+      const Eigen::Vector3d at = move(surface, core, row, dt_s).pose;
+      return model::pose_on_surface(surface, {at.x(), at.y(), at.z()}).pose;
+    };
+    const Eigen::Vector3d moved = (place(h).position_m - place(-h).position_m) / (2.0 * h);
+    const Eigen::Vector3d numerical = place(0.0).rotation.transpose() * moved;
+    const BodyVelocity velocity = body_velocity(core, row);
+    EXPECT_LT((velocity.value.head<2>() - numerical.head<2>()).norm(), 1e-7);
+    EXPECT_NEAR(numerical.z(), 0.0, 1e-7);
+    EXPECT_EQ(velocity.value.z(), true_velocity(core, row).z());
+    const Eigen::MatrixXd jacobian = numerical_jacobian(
+        [&](const Eigen::VectorXd& x) { return Eigen::VectorXd(body_velocity(CoreVector(x), row).value); },
+        core, 1e-6);
+    EXPECT_LT((velocity.d_core - jacobian).cwiseAbs().maxCoeff(), 1e-8);
+  }
+}
+
 TEST(PoseRate, IsTheLimitOfAStep) {
   const model::Surface surface = testing::hills(1.0);
   Random random(4);
