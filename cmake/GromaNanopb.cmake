@@ -1,7 +1,7 @@
 # groma_nanopb(<target> <dir>/<name>.proto): generates C from the schema with nanopb's own generator.
 find_program(PROTOC protoc REQUIRED)
 find_program(PROTOC_GEN_NANOPB protoc-gen-nanopb REQUIRED)
-if(CMAKE_CROSSCOMPILING)
+if(GROMA_BARE_METAL)
   # Debian has nanopb's library only for the host; scripts/setup fetches the sources of the same version.
   file(STRINGS /usr/include/pb.h nanopb_version REGEX "define NANOPB_VERSION")
   string(REGEX REPLACE ".*nanopb-([0-9.]+).*" "\\1" nanopb_version "${nanopb_version}")

@@ -1,7 +1,7 @@
 # Functions to declare each kind of target, so that warnings, include paths and sanitizers are the same
 # everywhere.
 
-if(NOT CMAKE_CROSSCOMPILING)
+if(NOT GROMA_BARE_METAL)
   find_package(Threads REQUIRED)
   find_package(Eigen3 3.4 REQUIRED NO_MODULE)
   find_package(fmt REQUIRED)
@@ -43,7 +43,7 @@ endif()
 target_include_directories(groma_build_options INTERFACE ${CMAKE_SOURCE_DIR})
 # About 60 programs: lld links them in a third of the time.
 find_program(GROMA_LLD ld.lld)
-if(GROMA_LLD AND NOT CMAKE_CROSSCOMPILING)
+if(GROMA_LLD AND NOT GROMA_BARE_METAL)
   target_link_options(groma_build_options INTERFACE -fuse-ld=lld)
 endif()
 
@@ -105,7 +105,7 @@ function(groma_test)
   if(NOT arg_SHARDS)
     set(arg_SHARDS 1)
   endif()
-  if(GROMA_SANITIZE OR CMAKE_CROSSCOMPILING)
+  if(GROMA_SANITIZE OR GROMA_BARE_METAL)
     math(EXPR arg_TIMEOUT "3 * ${arg_TIMEOUT}")
   endif()
   list(APPEND arg_LABELS ${GROMA_TEST_LABELS})
@@ -141,7 +141,7 @@ function(groma_test)
   foreach(shard RANGE ${last})
     set(environment GTEST_TOTAL_SHARDS=${arg_SHARDS} GTEST_SHARD_INDEX=${shard} GTEST_FILTER=-${left_out})
     # A bare-metal program in QEMU gets its environment with its arguments, and cannot create a file.
-    if(CMAKE_CROSSCOMPILING)
+    if(GROMA_BARE_METAL)
       add_test(NAME ${arg_NAME}.${shard} COMMAND ${arg_NAME} ${environment})
     else()
       add_test(

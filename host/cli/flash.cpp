@@ -355,7 +355,8 @@ void add_flash(CLI::App& app, Action& action) {
                          "Write the firmware into nodes by a debug probe, with OpenOCD, and verify it; with "
                          "a plan also configure them. "
                          "A node that already has it is skipped: after an interruption repeat the command.");
-  command->add_option("--image", options->image, "Intel HEX file")->capture_default_str();
+  command->add_option("--image", options->image,
+                      "Intel HEX file. Default: the one that the preset dwm1001 builds");
   command->add_option("--board", options->board, "The nodes' board; an image of another one is refused")
       ->capture_default_str();
   command->add_option("--probe", options->probe, "Serial number of the probe");

@@ -3,11 +3,13 @@
 
 #include <csignal>
 #include <exception>
+#include <optional>
 
 #include <CLI/CLI.hpp>
 
 #include "host/cli/command.hpp"
 #include "host/cli/terminal.hpp"
+#include "host/help/help.hpp"
 #include "host/io/error.hpp"
 #include "host/io/exit_code.hpp"
 #include "host/io/version.hpp"
@@ -22,6 +24,7 @@ int run(int argc, char** argv) {
       "filter, and "
       "scores the result.",
       "groma");
+  help::prepare(app, 1);
   app.set_version_flag("--version", fmt::format("groma {}", io::program_version()));
   app.require_subcommand(1);
   app.footer(
@@ -45,11 +48,7 @@ int run(int argc, char** argv) {
   add_smooth(app, action);
   add_surface(app, action);
   add_survey(app, action);
-  try {
-    app.parse(argc, argv);
-  } catch (const CLI::ParseError& error) {
-    return app.exit(error) == 0 ? io::kGood : io::kUsage;
-  }
+  if (const std::optional<int> code = help::parse(app, argc, argv)) return *code;
   return action();
 }
 

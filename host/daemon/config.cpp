@@ -4,15 +4,18 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <array>
 #include <limits>
 #include <set>
+#include <utility>
+
+#include <nlohmann/json.hpp>
 
 #include "host/filter/state.hpp"
 #include "host/io/dataset_writer.hpp"
 #include "host/io/input_file.hpp"
 #include "host/io/site_description.hpp"
 #include "host/io/yaml_reader.hpp"
+#include "host/io/yaml_type.hpp"
 #include "host/link/can_path.hpp"
 #include "host/link/network_link.hpp"
 #include "host/link/usb_port.hpp"
@@ -22,11 +25,16 @@ namespace {
 
 using io::YamlValue;
 
+using io::YamlType;
+
 constexpr double kMinDrive_s = 10.0;
 constexpr double kMaxDrive_s = 3600.0;
 constexpr double kMaxReorderLag_s = 0.5;  // SessionConfig::max_delay_s: later measurements are dropped
 constexpr double kMaxSpeed = 1000.0;
-constexpr std::array<std::string_view, 2> kSwitch{"false", "true"};
+constexpr unsigned kMinBaud = 1200;
+constexpr unsigned kMaxBaud = 4'000'000;
+constexpr auto kMaxId = std::numeric_limits<model::NodeId>::max();
+constexpr auto kMaxPort = std::numeric_limits<std::uint16_t>::max();
 
 std::filesystem::path parse_path(const YamlValue& yaml, const std::filesystem::path& folder) {
   const std::string text = yaml.text();
@@ -48,14 +56,6 @@ std::filesystem::path parse_address(const YamlValue& yaml, const std::filesystem
   return text;
 }
 
-double parse_between(const YamlValue& yaml, double min, double max) {
-  const double value = yaml.number();
-  if (!(value >= min && value <= max)) {
-    yaml.fail(fmt::format("is {}", value), fmt::format("it has to be from {} to {}", min, max));
-  }
-  return value;
-}
-
 NodeLink parse_serial_node(const YamlValue& entry, const std::filesystem::path& folder) {
   NodeLink node;
   const auto serial = entry.find("serial");
@@ -71,7 +71,7 @@ NodeLink parse_serial_node(const YamlValue& entry, const std::filesystem::path& 
     node.path = parse_address(*path, folder);
   }
   if (const auto baud = entry.find("baud")) {
-    node.baud = static_cast<unsigned>(baud->integer(1200, 4'000'000));
+    node.baud = static_cast<unsigned>(baud->integer(kMinBaud, kMaxBaud));
   }
   return node;
 }
@@ -103,7 +103,6 @@ std::vector<NodeLink> parse_nodes(const YamlValue& yaml, const std::filesystem::
   std::vector<NodeLink> nodes;
   std::set<std::string> seen;
   for (const YamlValue& entry : yaml.list()) {
-    entry.expect_keys({{}, {"path", "serial", "baud"}});
     const auto path = entry.find("path");
     NodeLink node =
         path && link::is_can_path(path->text()) ? parse_can_node(entry) : parse_serial_node(entry, folder);
@@ -119,9 +118,7 @@ std::vector<NodeLink> parse_nodes(const YamlValue& yaml, const std::filesystem::
 std::vector<model::Tag> parse_tags(const YamlValue& yaml) {
   std::vector<model::Tag> tags;
   for (const YamlValue& entry : yaml.list()) {
-    entry.expect_keys({{"id", "lever_arm_m"}});
-    const auto id =
-        static_cast<model::NodeId>(entry.at("id").integer(0, std::numeric_limits<model::NodeId>::max()));
+    const auto id = static_cast<model::NodeId>(entry.at("id").integer(0, kMaxId));
     const bool repeated =
         std::any_of(tags.begin(), tags.end(), [&](const auto& tag) { return tag.id == id; });
     if (repeated) entry.at("id").fail("is given twice", "name each tag once");
@@ -138,12 +135,11 @@ std::vector<model::Tag> parse_tags(const YamlValue& yaml) {
 
 CalibrationSource parse_calibration_source(const YamlValue& yaml, const std::filesystem::path& folder) {
   CalibrationSource source;
-  yaml.expect_keys({{}, {"file", "drive_s", "learn", "output"}});
   const auto file = yaml.find("file");
   const auto drive_s = yaml.find("drive_s");
   const auto learn = yaml.find("learn");
   const auto output = yaml.find("output");
-  source.learn = learn && learn->one_of(kSwitch) == 1;
+  source.learn = learn && learn->text() == "true";
   if (file) source.file = parse_path(*file, folder);
   if (output) source.output = parse_path(*output, folder);
   if (source.learn) {
@@ -158,36 +154,28 @@ CalibrationSource parse_calibration_source(const YamlValue& yaml, const std::fil
     if (output) output->fail("requires 'drive_s' or 'learn'", "remove it: the file is not changed");
     return source;
   }
-  source.drive_s = parse_between(*drive_s, kMinDrive_s, kMaxDrive_s);
+  source.drive_s = drive_s->number();
   return source;
 }
 
-void parse_robot(const YamlValue& yaml, const std::filesystem::path& folder, io::InputFiles& files,
+void parse_robot(const YamlValue& robot, const std::filesystem::path& folder, io::InputFiles& files,
                  Config& config) {
-  const auto socket = yaml.find("robot_socket");
-  const auto robot = yaml.find("robot");
-  if (socket.has_value() == robot.has_value()) {
-    yaml.fail("must have either 'robot_socket' or 'robot'",
-              "name the robot's socket, or give 'listen' or the signals on its CAN bus");
+  const auto listen = robot.find("listen");
+  if (!listen) {
+    config.robot_can = parse_can_signals(robot, folder, files);
+    return;
   }
-  if (socket) {
-    config.robot_socket = parse_address(*socket, folder);
-  } else if (const auto listen = robot->find("listen")) {
-    robot->expect_keys({{"listen"}});
-    config.robot_listen = parse_address(*listen, folder);
-    const auto network = link::parse_network_path(config.robot_listen.string());
-    if (network && (!is_numeric_address(network->host) || network->local_port)) {
-      listen->fail("is not a numeric address and a port",
-                   "write tcp://127.0.0.1:4723 for this computer only, tcp://0.0.0.0:4723 for the network");
-    }
-  } else {
-    config.robot_can = parse_can_signals(*robot, folder, files);
+  robot.expect_keys({{"listen"}});
+  config.robot_listen = parse_address(*listen, folder);
+  const auto network = link::parse_network_path(config.robot_listen.string());
+  if (network && (!is_numeric_address(network->host) || network->local_port)) {
+    listen->fail("is not a numeric address and a port",
+                 "write tcp://127.0.0.1:4723 for this computer only, tcp://0.0.0.0:4723 for the network");
   }
 }
 
 // Keys that are absent keep their values.
 void parse_endpoint(const YamlValue& yaml, Endpoint& endpoint) {
-  yaml.expect_keys({{}, {"address", "port"}});
   if (const auto address = yaml.find("address")) {
     endpoint.address = address->text();
     if (!is_numeric_address(endpoint.address)) {
@@ -196,21 +184,204 @@ void parse_endpoint(const YamlValue& yaml, Endpoint& endpoint) {
     }
   }
   if (const auto port = yaml.find("port")) {
-    endpoint.port = static_cast<std::uint16_t>(port->integer(0, std::numeric_limits<std::uint16_t>::max()));
+    endpoint.port = static_cast<std::uint16_t>(port->integer(0, kMaxPort));
   }
 }
 
-filter::Model parse_model(const YamlValue& yaml) {
-  const auto model = filter::model_from_name(yaml.text());
-  if (!model) {
-    std::string names;
-    for (const filter::Model known : filter::kModels) {
-      names += (names.empty() ? "" : ", ") + std::string(filter::model_name(known));
-    }
-    yaml.fail("is not a model", "choose one of " + names);
+void parse_speed(const YamlValue& yaml, Config& config) {
+  config.speed = yaml.number();
+  if (config.robot_can && config.speed != 1.0) {
+    yaml.fail("cannot be combined with odometry over CAN",
+              "remove it: such odometry has this computer's time");
   }
-  return *model;
 }
+
+// The keys of which exactly one is given.
+void expect_robot(const YamlValue& yaml) {
+  if (yaml.find("robot_socket").has_value() != yaml.find("robot").has_value()) return;
+  yaml.fail("must have either 'robot_socket' or 'robot'",
+            "name the robot's socket, or give 'listen' or the signals on its CAN bus");
+}
+
+// What the value of a top-level key is parsed with.
+struct Context {
+  const std::filesystem::path& folder;
+  Config& config;
+};
+
+// A top-level key. The types of all are the table that the check, the parser and the JSON schema share.
+struct ConfigKey {
+  io::YamlKey key;
+  void (*parse)(const YamlValue& yaml, const Context& context, io::InputFiles& files);
+};
+
+YamlType nodes_type() {
+  return YamlType::list(YamlType::map(
+      {{"path", YamlType::text(),
+        "A serial port, a Unix socket, can:INTERFACE/ID, canfd:INTERFACE/ID, tcp://HOST:PORT or "
+        "udp://HOST:PORT.",
+        false},
+       {"serial", YamlType::text(), "Serial number of a USB device with a serial port.", false},
+       {"baud", YamlType::integer(kMinBaud, kMaxBaud), "Bits per second of a serial port.", false}},
+      {{"path"}, {"serial"}}));
+}
+
+YamlType robot_type() {
+  std::vector<io::YamlKey> signals;
+  for (std::size_t i = 0; i < kCanQuantities; ++i) {
+    const bool is_required = i == 0 || i == 2;
+    signals.push_back({std::string(kCanQuantityNames.at(i)),
+                       YamlType::text_or_map({{"signal", YamlType::text(), "MESSAGE.SIGNAL of the DBC file."},
+                                              {"scale", YamlType::number(), "SI units in one unit.", false}}),
+                       "MESSAGE.SIGNAL of the DBC file, or with a scale.", is_required});
+  }
+  return YamlType::map(
+      {{"listen", YamlType::text(), "A Unix socket, tcp://ADDRESS:PORT or udp://ADDRESS:PORT to serve.",
+        false},
+       {"can", YamlType::text(), "Interface of the robot's CAN bus.", false},
+       {"dbc", YamlType::text(), "DBC file of its messages.", false},
+       {"signals", YamlType::map(std::move(signals)), "The signals of odometry and IMU.", false}},
+      {{"listen"}, {"can", "dbc", "signals"}});
+}
+
+YamlType tags_type() {
+  return YamlType::list(
+      YamlType::map({{"id", YamlType::integer(0, kMaxId), "The tag's id."},
+                     {"lever_arm_m", YamlType::numbers(3), "Its antenna in base_link, m."}}));
+}
+
+YamlType calibration_type() {
+  return YamlType::map(
+      {{"file", YamlType::text(), "The calibration file to localize with.", false},
+       {"drive_s", YamlType::between(kMinDrive_s, kMaxDrive_s), "Length of a calibration drive, s.", false},
+       {"learn", YamlType::boolean(), "Calibrate anchors while driving.", false},
+       {"output", YamlType::text(), "The file that receives the calibration.", false}});
+}
+
+YamlType endpoint_type() {
+  return YamlType::map(
+      {{"address", YamlType::text(), "Numeric address of an interface; 0.0.0.0: all.", false},
+       {"port", YamlType::integer(0, kMaxPort), "TCP port; 0: any free one.", false}});
+}
+
+YamlType model_type() {
+  std::vector<std::string> names;
+  for (const filter::Model model : filter::kModels) names.emplace_back(filter::model_name(model));
+  return YamlType::word(std::move(names));
+}
+
+void parse_schema(const YamlValue& yaml, const Context& /*context*/, io::InputFiles& /*files*/) {
+  if (yaml.integer(0, std::numeric_limits<std::int64_t>::max()) != 1) {
+    yaml.fail("is not 1", "this program reads schema 1 only");
+  }
+}
+
+using Yaml = const YamlValue&;
+using In = const Context&;
+using Files = io::InputFiles&;
+
+// The keys that describe what is required.
+void append_required(std::vector<ConfigKey>& keys) {
+  keys.push_back({{"schema", YamlType::integer(0, std::numeric_limits<std::int32_t>::max()),
+                   "Version of this format: 1."},
+                  parse_schema});
+  keys.push_back({{"nodes", nodes_type(), "The port of each tag."},
+                  [](Yaml yaml, In in, Files&) { in.config.nodes = parse_nodes(yaml, in.folder); }});
+  keys.push_back({{"tags", tags_type(), "The robot's tags."},
+                  [](Yaml yaml, In in, Files&) { in.config.tags = parse_tags(yaml); }});
+  keys.push_back({{"odometry", io::odometry_noise_type(), "Standard deviations of an odometry sample."},
+                  [](Yaml yaml, In in, Files&) { in.config.odometry = io::parse_odometry_noise(yaml); }});
+  keys.push_back({{"range", io::range_priors_type(), "Noise of a range and priors of each pair."},
+                  [](Yaml yaml, In in, Files&) { in.config.range = io::parse_range_priors(yaml); }});
+  keys.push_back({{"surface", io::surface_type(), "The ground that the robot drives on."},
+                  [](Yaml yaml, In in, Files& files) {
+                    in.config.surface = io::parse_surface(yaml, in.folder, files);
+                  }});
+  keys.push_back(
+      {{"calibration", calibration_type(), "Where the anchors' calibration comes from."},
+       [](Yaml yaml, In in, Files&) { in.config.calibration = parse_calibration_source(yaml, in.folder); }});
+}
+
+void append_optional(std::vector<ConfigKey>& keys) {
+  keys.push_back({{"robot_socket", YamlType::text(),
+                   "Unix socket or tcp://HOST:PORT on which the robot's software listens.", false},
+                  [](Yaml yaml, In in, Files&) { in.config.robot_socket = parse_address(yaml, in.folder); }});
+  keys.push_back({{"robot", robot_type(),
+                   "Where gromad listens for the robot's software, or the robot's CAN bus.", false},
+                  [](Yaml yaml, In in, Files& files) { parse_robot(yaml, in.folder, files, in.config); }});
+  keys.push_back({{"imu", io::imu_type(), "Noise of the robot's yaw rates.", false},
+                  [](Yaml yaml, In in, Files&) { io::parse_imu(yaml, in.config.sensors); }});
+  keys.push_back({{"gnss", io::gnss_type(), "The robot's GNSS antenna.", false},
+                  [](Yaml yaml, In in, Files&) { io::parse_gnss(yaml, in.config.sensors); }});
+  keys.push_back({{"model", model_type(), "Measurement model of the filter.", false},
+                  [](Yaml yaml, In in, Files&) { in.config.model = *filter::model_from_name(yaml.text()); }});
+  keys.push_back({{"pose_stream", endpoint_type(), "Where the poses are served.", false},
+                  [](Yaml yaml, In in, Files&) { parse_endpoint(yaml, in.config.pose_stream); }});
+  keys.push_back(
+      {{"web", endpoint_type(), "Where counters are served by HTTP.", false}, [](Yaml yaml, In in, Files&) {
+         parse_endpoint(yaml, in.config.web.emplace(Endpoint{.address = "127.0.0.1", .port = 4722}));
+       }});
+  keys.push_back({{"log", YamlType::text(), "File to which all input is appended.", false},
+                  [](Yaml yaml, In in, Files&) { in.config.log = parse_path(yaml, in.folder); }});
+  keys.push_back({{"last_pose", YamlType::text(), "File with the pose that the next run starts from.", false},
+                  [](Yaml yaml, In in, Files&) { in.config.last_pose = parse_path(yaml, in.folder); }});
+  keys.push_back({{"reorder_lag_s", YamlType::between(0.0, kMaxReorderLag_s),
+                   "How long measurements wait for earlier ones, s.", false},
+                  [](Yaml yaml, In in, Files&) { in.config.reorder_lag_s = yaml.number(); }});
+  keys.push_back({{"speed", YamlType::between(1.0 / kMaxSpeed, kMaxSpeed),
+                   "Rate of the site's clocks, as of groma sim.", false},
+                  [](Yaml yaml, In in, Files&) { parse_speed(yaml, in.config); }});
+}
+
+std::vector<ConfigKey> config_keys() {
+  std::vector<ConfigKey> keys;
+  append_required(keys);
+  append_optional(keys);
+  return keys;
+}
+
+YamlValue::Keys names_of(const std::vector<ConfigKey>& keys) {
+  YamlValue::Keys names;
+  for (const ConfigKey& key : keys)
+    (key.key.required ? names.required : names.optional).emplace_back(key.key.name);
+  return names;
+}
+
+YamlType type_of(const std::vector<ConfigKey>& keys) {
+  std::vector<io::YamlKey> all;
+  for (const ConfigKey& key : keys) all.push_back(key.key);
+  return YamlType::map(std::move(all), {{"robot_socket"}, {"robot"}});
+}
+
+// Errors in the order of their places in the file.
+class Errors {
+ public:
+  void add(const io::ConfigError& error) { add(error.place(), error.what(), std::make_exception_ptr(error)); }
+  void add(const io::FilePlace& place, std::string text, std::exception_ptr error) {
+    const auto after = std::find_if(errors_.begin(), errors_.end(), [&](const ConfigProblem& other) {
+      return std::pair(other.place.line, other.place.column) > std::pair(place.line, place.column);
+    });
+    errors_.insert(after, ConfigProblem{place, std::move(text), std::move(error)});
+  }
+  // Adds the error of parsing the value, or of a file that it names.
+  template <typename Parse>
+  void attempt(const YamlValue& yaml, Parse parse) {
+    try {
+      parse();
+    } catch (const io::ConfigError& error) {
+      add(error);
+    } catch (const io::Error& error) {
+      const bool placed = error.place().line > 0;
+      const std::string text =
+          placed ? error.what() : fmt::format("{}: {}", io::to_string(yaml.place()), error.what());
+      add(yaml.place(), text, std::current_exception());
+    }
+  }
+  [[nodiscard]] std::vector<ConfigProblem> take() { return std::move(errors_); }
+
+ private:
+  std::vector<ConfigProblem> errors_;
+};
 
 }  // namespace
 
@@ -237,42 +408,48 @@ filter::Config Config::filter_config() const {
   return out;
 }
 
-Config read_config(const std::filesystem::path& path) {
-  io::InputFiles files;
-  const YamlValue yaml = YamlValue::parse(path, files.read(path));
+ConfigReading parse_config(const std::filesystem::path& path) {
+  ConfigReading out;
+  out.config.path = path;
+  Errors errors;
+  io::InputFiles all;
   const std::filesystem::path folder = path.parent_path();
-  yaml.expect_keys({{"schema", "nodes", "tags", "odometry", "range", "surface", "calibration"},
-                    {"robot_socket", "robot", "imu", "gnss", "model", "pose_stream", "web", "log",
-                     "last_pose", "reorder_lag_s", "speed"}});
-  if (yaml.at("schema").integer(0, std::numeric_limits<std::int64_t>::max()) != 1) {
-    yaml.at("schema").fail("is not 1", "this program reads schema 1 only");
+  try {
+    const YamlValue yaml = YamlValue::parse(path, all.read(path));
+    const std::vector<ConfigKey> keys = config_keys();
+    for (const io::ConfigError& error : yaml.key_errors(names_of(keys))) errors.add(error);
+    errors.attempt(yaml, [&] { expect_robot(yaml); });
+    for (const ConfigKey& key : keys) {
+      const auto value = yaml.find(key.key.name);
+      if (!value) continue;
+      const std::vector<io::ConfigError> own = key.key.type.errors_of(*value);
+      for (const io::ConfigError& error : own) errors.add(error);
+      if (!own.empty()) continue;
+      io::InputFiles files;
+      errors.attempt(*value, [&] { key.parse(*value, {folder, out.config}, files); });
+      out.config.values[key.key.name] = value->dump() + files.digest();
+      out.places[key.key.name] = value->place();
+    }
+  } catch (const io::ConfigError& error) {
+    errors.add(error);
+  } catch (const io::Error& error) {
+    errors.add({path}, error.what(), std::current_exception());
   }
-  Config config;
-  config.nodes = parse_nodes(yaml.at("nodes"), folder);
-  parse_robot(yaml, folder, files, config);
-  config.tags = parse_tags(yaml.at("tags"));
-  config.odometry = io::parse_odometry_noise(yaml.at("odometry"));
-  config.range = io::parse_range_priors(yaml.at("range"));
-  config.sensors = io::parse_sensors(yaml);
-  config.surface = io::parse_surface(yaml.at("surface"), folder, files);
-  config.calibration = parse_calibration_source(yaml.at("calibration"), folder);
-  if (const auto model = yaml.find("model")) config.model = parse_model(*model);
-  if (const auto stream = yaml.find("pose_stream")) parse_endpoint(*stream, config.pose_stream);
-  if (const auto web = yaml.find("web")) {
-    parse_endpoint(*web, config.web.emplace(Endpoint{.address = "127.0.0.1", .port = 4722}));
-  }
-  if (const auto log = yaml.find("log")) config.log = parse_path(*log, folder);
-  if (const auto pose = yaml.find("last_pose")) config.last_pose = parse_path(*pose, folder);
-  if (const auto lag = yaml.find("reorder_lag_s")) {
-    config.reorder_lag_s = parse_between(*lag, 0.0, kMaxReorderLag_s);
-  }
-  if (const auto speed = yaml.find("speed")) {
-    config.speed = parse_between(*speed, 1.0 / kMaxSpeed, kMaxSpeed);
-    if (config.robot_can && config.speed != 1.0)
-      speed->fail("cannot be combined with odometry over CAN",
-                  "remove it: such odometry has this computer's time");
-  }
-  return config;
+  out.problems = errors.take();
+  return out;
+}
+
+Config read_config(const std::filesystem::path& path) {
+  ConfigReading reading = parse_config(path);
+  if (!reading.problems.empty()) std::rethrow_exception(reading.problems.front().error);
+  return std::move(reading.config);
+}
+
+std::string config_schema() {
+  nlohmann::ordered_json schema{{"$schema", "http://json-schema.org/draft-07/schema#"},
+                                {"title", "Configuration of gromad"}};
+  schema.update(type_of(config_keys()).schema());
+  return schema.dump(2);
 }
 
 }  // namespace groma::daemon

@@ -30,7 +30,9 @@
 #pragma once
 
 #include <cstdint>
+#include <exception>
 #include <filesystem>
+#include <map>
 #include <optional>
 #include <string>
 #include <vector>
@@ -39,6 +41,7 @@
 #include "host/daemon/tcp_listener.hpp"
 #include "host/filter/config.hpp"
 #include "host/io/dataset.hpp"
+#include "host/io/error.hpp"
 #include "host/model/surface.hpp"
 #include "host/model/types.hpp"
 
@@ -58,6 +61,9 @@ struct CalibrationSource {
 };
 
 struct Config {
+  std::filesystem::path path;  // of the file
+  std::map<std::string, std::string>
+      values;  // each top-level key's value, with a digest of the files it names
   std::vector<NodeLink> nodes;
   // One of these three is given.
   std::filesystem::path robot_socket;  // the robot's software listens there
@@ -83,8 +89,25 @@ struct Config {
   [[nodiscard]] filter::Config filter_config() const;
 };
 
-// Throws io::ConfigError with the place and the remedy; io::DataError or io::PermissionError if the file, or
-// a file that it names, cannot be read.
+// An error of a configuration file, or of a file that it names.
+struct ConfigProblem {
+  io::FilePlace place;       // in the configuration file
+  std::string text;          // "FILE:LINE:COLUMN: what; what to do"
+  std::exception_ptr error;  // io::ConfigError, io::DataError or io::PermissionError
+};
+
+struct ConfigReading {
+  Config config;                                // as far as it has no error
+  std::map<std::string, io::FilePlace> places;  // of each top-level key's value
+  std::vector<ConfigProblem> problems;          // all errors, in the order of their lines
+};
+[[nodiscard]] ConfigReading parse_config(const std::filesystem::path& path);
+
+// Throws the first error: io::ConfigError with the place and the remedy; io::DataError or io::PermissionError
+// if the file, or a file that it names, cannot be read.
 [[nodiscard]] Config read_config(const std::filesystem::path& path);
+
+// The JSON schema of the file, from the table that the parser checks it with.
+[[nodiscard]] std::string config_schema();
 
 }  // namespace groma::daemon

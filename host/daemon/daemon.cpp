@@ -2,14 +2,18 @@
 
 #include <fmt/format.h>
 #include <pb_encode.h>
+#include <sys/signalfd.h>
+#include <unistd.h>
 
 #include <array>
+#include <csignal>
 #include <filesystem>
 #include <system_error>
 #include <tuple>
 #include <utility>
 
 #include "groma.pb.h"
+#include "host/daemon/reload.hpp"
 #include "host/daemon/robot_can.hpp"
 #include "host/link/line_listener.hpp"
 #include "host/link/report_decoder.hpp"
@@ -147,13 +151,45 @@ link::LinkError Daemon::open_servers() {
   return {};
 }
 
-bool Daemon::run(int stop_fd) {
-  const EventLoop::Watch stop(loop_, stop_fd, [this] { loop_.stop(); });
+bool Daemon::run(int signal_fd, ServiceManager& manager) {
+  tick();
+  manager.ready();
+  const EventLoop::Timer watchdog(loop_, 0.0, [&manager] { manager.alive(); });
+  const EventLoop::Watch signals(loop_, signal_fd, [&] { take_signal(signal_fd, manager); });
   loop_.run();
   if (calibrator_->failed()) return false;
-  calibrator_->finish();
+  manager.stopping();
+  pipeline_.flush();
+  const bool usable = calibrator_->finish();
   if (last_pose_) last_pose_->finish();
-  return true;
+  return usable;
+}
+
+void Daemon::take_signal(int signal_fd, const ServiceManager& manager) {
+  signalfd_siginfo info{};
+  if (::read(signal_fd, &info, sizeof(info)) != sizeof(info)) return;
+  if (info.ssi_signo != SIGHUP) return loop_.stop();
+  manager.reloading();
+  reload();
+  manager.ready();
+}
+
+void Daemon::reload() {
+  Reload next = prepare_reload(config_, pipeline_.frame());
+  for (const std::string& problem : next.problems) log_(problem);
+  if (!next.problems.empty()) {
+    log_("nothing was reloaded");
+    return;
+  }
+  if (pipeline_.localizer() == nullptr || !next.calibration) {
+    log_("reloaded nothing: no key has changed");
+    return;
+  }
+  config_.tags = std::move(next.config.tags);
+  config_.calibration = std::move(next.config.calibration);
+  config_.values = std::move(next.config.values);
+  log_("reloaded " + config_.path.string() + ": " + describe(*next.calibration));
+  adopt(*std::move(next.calibration));
 }
 
 void Daemon::tick() {

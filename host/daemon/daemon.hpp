@@ -21,6 +21,7 @@
 #include "host/daemon/pipeline.hpp"
 #include "host/daemon/pose_message.hpp"
 #include "host/daemon/pose_server.hpp"
+#include "host/daemon/service_manager.hpp"
 #include "host/daemon/site_calibrator.hpp"
 #include "host/daemon/web_server.hpp"
 
@@ -43,9 +44,10 @@ class Daemon {
   // opened as soon as possible. Throws as LogRecorder does if a log is configured.
   [[nodiscard]] link::LinkError open();
 
-  // Serves until stop_fd is readable. False: the drive gave no usable calibration. Throws as io::write_file()
+  // Serves until signal_fd, a signalfd(2), delivers a signal other than SIGHUP, which reloads. Then uses and
+  // writes what was measured so far. False: the drive gave no usable calibration. Throws as io::write_file()
   // does if the calibration cannot be written.
-  [[nodiscard]] bool run(int stop_fd);
+  [[nodiscard]] bool run(int signal_fd, ServiceManager& manager);
   // Serves what is ready and due, without waiting: for a caller with a clock of its own.
   void poll() { loop_.poll(); }
 
@@ -56,6 +58,9 @@ class Daemon {
   void add_robot();
   [[nodiscard]] link::LinkError open_servers();
   void tick();
+  void take_signal(int signal_fd, const ServiceManager& manager);
+  // Reads the configuration again, and changes what can be changed, or nothing if there is an error.
+  void reload();
   void adopt(model::Calibration calibration);
   void publish(const PoseEstimate& pose);
   void publish_status();

@@ -55,6 +55,11 @@ Localizer::Localizer(Setup setup, OnPose on_pose, OnPose on_settled)
   make_tracker();
 }
 
+void Localizer::adopt(model::Calibration calibration, std::vector<model::Tag> tags) {
+  setup_.tags = std::move(tags);
+  adopt(std::move(calibration));
+}
+
 void Localizer::adopt(model::Calibration calibration) {
   setup_.calibration = std::move(calibration);
   prediction_.reset();

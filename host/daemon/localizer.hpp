@@ -81,6 +81,8 @@ class Localizer : public MeasurementSink {
 
   // Continues from the present pose with another calibration of the same site.
   void adopt(model::Calibration calibration);
+  // Also with other lever arms of the same tags.
+  void adopt(model::Calibration calibration, std::vector<model::Tag> tags);
 
   // Starts or restarts at a known pose instead of the first pose prior.
   void start(const filter::Start& start);

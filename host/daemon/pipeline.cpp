@@ -37,7 +37,7 @@ void Pipeline::advance(double now_s) {
 
 void Pipeline::adopt(model::Calibration calibration, const std::optional<filter::Start>& start) {
   ++adopted_;
-  if (localizer_) return localizer_->adopt(std::move(calibration));
+  if (localizer_) return localizer_->adopt(std::move(calibration), config_.tags);
   frame_ = calibration.frame;
   const std::size_t anchors = calibration.anchors.size();
   localizer_.emplace(

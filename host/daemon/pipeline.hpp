@@ -41,9 +41,11 @@ class Pipeline {
   void robot_reopened() { session_.robot_reopened(); }
   // Passes on the measurements that have waited for long enough; to be called each few ms.
   void advance(double now_s);
+  // Passes on all of them, at the end.
+  void flush() { session_.flush(); }
 
-  // Localizes by this calibration from now on: the first one starts, another one continues from the present
-  // pose. start: a pose that the first one's search begins with.
+  // Localizes by this calibration, and the tags of `config`, from now on: the first one starts, another one
+  // continues from the present pose. start: a pose that the first one's search begins with.
   void adopt(model::Calibration calibration, const std::optional<filter::Start>& start = std::nullopt);
 
   // For other receivers of its measurements.

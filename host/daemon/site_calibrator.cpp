@@ -20,6 +20,8 @@ bool is_done(const std::future<Result>& result) {
   return result.wait_for(std::chrono::seconds(0)) == std::future_status::ready;
 }
 
+}  // namespace
+
 std::string describe(const model::Calibration& calibration) {
   std::string text =
       fmt::format("verdict {}, {} anchors", io::word(calibration.verdict), calibration.anchors.size());
@@ -28,8 +30,6 @@ std::string describe(const model::Calibration& calibration) {
   }
   return text;
 }
-
-}  // namespace
 
 SiteCalibrator::SiteCalibrator(const Config& config, std::optional<model::Calibration> known,
                                Session& session, Log log)
@@ -120,8 +120,21 @@ void SiteCalibrator::on_settled(const PoseEstimate& pose) {
       {.t_s = pose.t_s, .x_m = pose.x_m, .y_m = pose.y_m, .z_m = pose.z_m, .yaw_rad = pose.yaw_rad});
 }
 
-void SiteCalibrator::finish() {
-  if (!learner_) return;
+bool SiteCalibrator::finish() {
+  if (learner_) finish_learning();
+  if (!drive_) return true;
+  if (!solution_.valid()) {
+    log_(fmt::format("the calibration drive has ended after {:.0f} of {} s; nothing is calibrated",
+                     drive_->duration_s(), config_.calibration.drive_s));
+    return true;
+  }
+  log_("waits for the calibration that is being solved");
+  solution_.wait();
+  static_cast<void>(service_drive());
+  return !failed_;
+}
+
+void SiteCalibrator::finish_learning() {
   to_write_ = learner_->finish() || to_write_;
   to_write_ = to_write_ && config_.calibration.output.has_value();
   for (const std::string& news : learner_->take_news()) log_(news);

@@ -20,6 +20,9 @@
 
 namespace groma::daemon {
 
+// Verdict and advice, for the log.
+[[nodiscard]] std::string describe(const model::Calibration& calibration);
+
 class SiteCalibrator {
  public:
   using Log = std::function<void(std::string_view)>;
@@ -33,8 +36,9 @@ class SiteCalibrator {
   [[nodiscard]] std::optional<model::Calibration> service();
   // A pose of the filter, as of Localizer's on_settled.
   void on_settled(const PoseEstimate& pose);
-  // At the end: learns from the samples since the last step too, and waits for the files.
-  void finish();
+  // At the end: learns from the samples since the last step too, and waits for a calibration that is being
+  // solved and for the files. False and exceptions: as failed() and service().
+  [[nodiscard]] bool finish();
 
   // The drive is over, and is being solved.
   [[nodiscard]] bool solving() const noexcept { return solution_.valid(); }
@@ -47,6 +51,7 @@ class SiteCalibrator {
   [[nodiscard]] std::optional<model::Calibration> service_drive();
   [[nodiscard]] std::optional<model::Calibration> service_learner();
   void write_learned();
+  void finish_learning();
 
   const Config& config_;
   Session& session_;

@@ -12,7 +12,7 @@ std::string to_string(const FilePlace& place) {
 }
 
 Error::Error(const FilePlace& place, std::string_view problem, std::string_view remedy)
-    : std::runtime_error(fmt::format("{}: {}; {}", to_string(place), problem, remedy)) {}
+    : std::runtime_error(fmt::format("{}: {}; {}", to_string(place), problem, remedy)), place_(place) {}
 
 std::string shown(std::string_view text) {
   constexpr std::size_t kMaxShown = 40;

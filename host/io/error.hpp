@@ -23,6 +23,11 @@ class Error : public std::runtime_error {
  public:
   // The message is "place: problem; remedy".
   Error(const FilePlace& place, std::string_view problem, std::string_view remedy);
+
+  [[nodiscard]] const FilePlace& place() const noexcept { return place_; }
+
+ private:
+  FilePlace place_;
 };
 
 // Data that cannot be read.

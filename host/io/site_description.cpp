@@ -22,6 +22,7 @@ namespace groma::io {
 namespace {
 
 constexpr std::array<std::string_view, 5> kSurfaceTypes{"plane", "bspline", "points", "grid", "floors"};
+constexpr std::size_t kFloors = 4;  // in kSurfaceTypes
 constexpr int kMaxFloors = 100;
 constexpr int kMaxSurfaceCells = 10'000;  // along one axis
 
@@ -156,7 +157,6 @@ std::filesystem::path parse_file(const YamlValue& yaml, const std::filesystem::p
 }
 
 model::SurfaceMismatch parse_mismatch(const YamlValue& yaml) {
-  yaml.expect_keys({{"sigma_m", "length_m"}, {"slope_sigma"}});
   model::SurfaceMismatch mismatch;
   mismatch.sigma_m = yaml.at("sigma_m").number();
   if (mismatch.sigma_m < 0.0) yaml.at("sigma_m").fail("is below 0", "give a standard deviation in metres");
@@ -167,6 +167,34 @@ model::SurfaceMismatch parse_mismatch(const YamlValue& yaml) {
     if (mismatch.slope_sigma < 0.0) slope->fail("is below 0", "give a standard deviation, without unit");
   }
   return mismatch;
+}
+
+YamlType mismatch_type() {
+  return YamlType::map(
+      {{"sigma_m", YamlType::number(), "Standard deviation of the ground's height, m."},
+       {"length_m", YamlType::positive(), "Its correlation length, m."},
+       {"slope_sigma", YamlType::number(), "Standard deviation of the ground's slope.", false}});
+}
+
+// One of kSurfaceTypes, with its other keys.
+YamlType chart_type(std::size_t type, std::vector<YamlKey> keys) {
+  keys.insert(keys.begin(),
+              {"type", YamlType::word({std::string(kSurfaceTypes.at(type))}), "Its description."});
+  if (type != kFloors) {
+    keys.push_back({"mismatch", mismatch_type(), "How far the ground may differ from the surface.", false});
+  }
+  return YamlType::map(std::move(keys));
+}
+
+// The types of a single floor, in the order of kSurfaceTypes.
+std::vector<YamlType> chart_types() {
+  const YamlKey file{"file", YamlType::text(), "A file, relative to the folder of this one."};
+  const YamlKey spacing{"spacing_m", YamlType::positive(), "Metres between the knots of the fit.", false};
+  const YamlKey smoothing{"smoothing", YamlType::positive(), "Weight of the bending in the fit.", false};
+  return {chart_type(0, {{"z_m", YamlType::number(), "Height at x = y = 0, m."},
+                         {"normal", YamlType::numbers(3), "Vector that points up from the plane."}}),
+          chart_type(1, {file}), chart_type(2, {file, spacing, smoothing}),
+          chart_type(3, {file, spacing, smoothing})};
 }
 
 model::SurfaceFitOptions parse_fit_options(const YamlValue& yaml) {
@@ -189,13 +217,11 @@ std::vector<Eigen::Vector2d> parse_domain(const YamlValue& yaml) {
 // Parses one chart; the caller sets its name and domain.
 model::Chart parse_chart(const YamlValue& yaml, const std::filesystem::path& folder, InputFiles& files) {
   model::Chart chart;
-  const std::size_t type = yaml.find("type").has_value() ? yaml.at("type").one_of(kSurfaceTypes) : 0;
+  const std::size_t type = yaml.at("type").one_of(kSurfaceTypes);
   if (type == 1) {
-    yaml.expect_keys({{"type", "file"}, {"mismatch"}});
     const std::filesystem::path path = parse_file(yaml.at("file"), folder);
     chart.shape = parse_spline(path, files.read(path));
   } else if (type == 2 || type == 3) {
-    yaml.expect_keys({{"type", "file"}, {"spacing_m", "smoothing", "mismatch"}});
     const std::filesystem::path path = parse_file(yaml.at("file"), folder);
     const std::string text = files.read(path);
     if (type == 3 && !begins_with_number(text)) {
@@ -204,10 +230,7 @@ model::Chart parse_chart(const YamlValue& yaml, const std::filesystem::path& fol
     const model::SurfaceFit fit = fit_heights(path, text, parse_fit_options(yaml));
     chart.shape = fit.spline;
     chart.mismatch = fit.mismatch;
-  } else if (type == 4) {
-    yaml.fail("has floors within a floor", "list all floors and ramps at one level");
   } else {
-    yaml.expect_keys({{"type", "z_m", "normal"}, {"mismatch"}});
     const std::vector<double> normal = yaml.at("normal").numbers(3);
     if (!(normal[2] > 0.0)) yaml.at("normal").fail("does not point up", "its z component has to be above 0");
     chart.shape = model::Plane(yaml.at("z_m").number(), {normal[0], normal[1], normal[2]});
@@ -255,15 +278,25 @@ model::SurfaceFit fit_heights(const std::filesystem::path& path, std::string_vie
   return *std::move(fit);
 }
 
+YamlType surface_type() {
+  std::vector<YamlType> types = chart_types();
+  const YamlType floor =
+      YamlType::map({{"name", YamlType::text(), "The floor's name, in poses."},
+                     {"surface", YamlType::variant(types), "Its surface, which has no floors."},
+                     {"domain_m", YamlType::list(YamlType::numbers(2)),
+                      "Corners of the polygon that it covers, m.", false}});
+  types.push_back(chart_type(kFloors, {{"floors", YamlType::list(floor), "All floors and ramps."}}));
+  return YamlType::variant(std::move(types));
+}
+
 model::Surface parse_surface(const YamlValue& yaml, const std::filesystem::path& folder, InputFiles& files) {
+  surface_type().expect(yaml);
   std::vector<model::Chart> charts;
-  if (!yaml.find("type").has_value() || yaml.at("type").one_of(kSurfaceTypes) != 4) {
+  if (yaml.at("type").one_of(kSurfaceTypes) != kFloors) {
     charts.push_back(parse_chart(yaml, folder, files));
     return model::Surface(std::move(charts));
   }
-  yaml.expect_keys({{"type", "floors"}});
   for (const YamlValue& floor : yaml.at("floors").list()) {
-    floor.expect_keys({{"name", "surface"}, {"domain_m"}});
     model::Chart chart = parse_chart(floor.at("surface"), folder, files);
     chart.name = floor.at("name").text();
     if (chart.name.empty() || chart.name.find_first_of(",\"\r\n") != std::string::npos) {
@@ -282,34 +315,60 @@ model::Surface parse_surface(const YamlValue& yaml, const std::filesystem::path&
   return model::Surface(std::move(charts));
 }
 
+YamlType odometry_noise_type() {
+  return YamlType::map({{"sigma_vx_mps", YamlType::positive(), "Of the speed along x, m/s."},
+                        {"sigma_vy_mps", YamlType::positive(), "Of the speed along y, m/s."},
+                        {"sigma_omega_radps", YamlType::positive(), "Of the yaw rate, rad/s."}});
+}
+
 model::OdometryNoise parse_odometry_noise(const YamlValue& yaml) {
-  yaml.expect_keys({{"sigma_vx_mps", "sigma_vy_mps", "sigma_omega_radps"}});
-  return {yaml.at("sigma_vx_mps").positive_number(), yaml.at("sigma_vy_mps").positive_number(),
-          yaml.at("sigma_omega_radps").positive_number()};
+  odometry_noise_type().expect(yaml);
+  return {yaml.at("sigma_vx_mps").number(), yaml.at("sigma_vy_mps").number(),
+          yaml.at("sigma_omega_radps").number()};
+}
+
+YamlType imu_type() {
+  return YamlType::map(
+      {{"sigma_omega_radps", YamlType::positive(), "White noise of the yaw rate, rad/s.", false},
+       {"bias_sigma_radps", YamlType::positive(), "Standard deviation of its bias, rad/s.", false}});
+}
+
+void parse_imu(const YamlValue& yaml, model::SensorDescription& out) {
+  imu_type().expect(yaml);
+  if (const auto sigma = yaml.find("sigma_omega_radps")) out.gyro_sigma_radps = sigma->number();
+  if (const auto sigma = yaml.find("bias_sigma_radps")) out.gyro_bias_sigma_radps = sigma->number();
+}
+
+YamlType gnss_type() {
+  return YamlType::map({{"lever_arm_m", YamlType::numbers(3), "Position of its antenna in base_link, m."}});
+}
+
+void parse_gnss(const YamlValue& yaml, model::SensorDescription& out) {
+  gnss_type().expect(yaml);
+  const std::vector<double> lever_arm = yaml.at("lever_arm_m").numbers(3);
+  out.gnss_lever_arm_m = Eigen::Vector3d(lever_arm[0], lever_arm[1], lever_arm[2]);
 }
 
 model::SensorDescription parse_sensors(const YamlValue& yaml) {
   model::SensorDescription out;
-  if (const auto imu = yaml.find("imu")) {
-    imu->expect_keys({{}, {"sigma_omega_radps", "bias_sigma_radps"}});
-    if (const auto sigma = imu->find("sigma_omega_radps")) out.gyro_sigma_radps = sigma->positive_number();
-    if (const auto sigma = imu->find("bias_sigma_radps"))
-      out.gyro_bias_sigma_radps = sigma->positive_number();
-  }
-  if (const auto gnss = yaml.find("gnss")) {
-    gnss->expect_keys({{"lever_arm_m"}});
-    const std::vector<double> lever_arm = gnss->at("lever_arm_m").numbers(3);
-    out.gnss_lever_arm_m = Eigen::Vector3d(lever_arm[0], lever_arm[1], lever_arm[2]);
-  }
+  if (const auto imu = yaml.find("imu")) parse_imu(*imu, out);
+  if (const auto gnss = yaml.find("gnss")) parse_gnss(*gnss, out);
   return out;
 }
 
+YamlType range_priors_type() {
+  std::vector<YamlKey> keys{{"sigma_m", YamlType::positive(), "White noise of a range, m."}};
+  for (const model::PairTerm& term : model::kPairTerms) {
+    keys.push_back(
+        {std::string(term.key.value), YamlType::numbers(2), "Mean and sigma of a pair's term.", false});
+  }
+  return YamlType::map(std::move(keys));
+}
+
 model::RangePriors parse_range_priors(const YamlValue& yaml) {
-  YamlValue::Keys keys{{"sigma_m"}};
-  for (const model::PairTerm& term : model::kPairTerms) keys.optional.emplace_back(term.key.value);
-  yaml.expect_keys(keys);
+  range_priors_type().expect(yaml);
   model::RangePriors priors;
-  priors.sigma_m = yaml.at("sigma_m").positive_number();
+  priors.sigma_m = yaml.at("sigma_m").number();
   for (const model::PairTerm& term : model::kPairTerms) {
     if (const auto prior = yaml.find(term.key.value)) priors.*term.prior = parse_prior(*prior);
   }

@@ -10,12 +10,20 @@
 
 #include "host/io/input_file.hpp"
 #include "host/io/yaml_reader.hpp"
+#include "host/io/yaml_type.hpp"
 #include "host/model/anchor_parameters.hpp"
 #include "host/model/surface.hpp"
 #include "host/model/surface_fit.hpp"
 #include "host/model/types.hpp"
 
 namespace groma::io {
+
+// The types of these parts. Each parse function accepts what its type allows, within further rules.
+[[nodiscard]] YamlType surface_type();
+[[nodiscard]] YamlType odometry_noise_type();
+[[nodiscard]] YamlType imu_type();
+[[nodiscard]] YamlType gnss_type();
+[[nodiscard]] YamlType range_priors_type();
 
 // Accepts
 //   {type: plane, z_m: ..., normal: [x, y, z]};
@@ -30,8 +38,13 @@ namespace groma::io {
 // {sigma_vx_mps: ..., sigma_vy_mps: ..., sigma_omega_radps: ...}. Throws ConfigError.
 [[nodiscard]] model::OdometryNoise parse_odometry_noise(const YamlValue& yaml);
 
-// The optional keys imu: {sigma_omega_radps: ..., bias_sigma_radps: ...} and gnss: {lever_arm_m: [x, y, z]}
-// of a map. Throws ConfigError.
+// {sigma_omega_radps: ..., bias_sigma_radps: ...}, each optional. Throws ConfigError.
+void parse_imu(const YamlValue& yaml, model::SensorDescription& out);
+
+// {lever_arm_m: [x, y, z]}. Throws ConfigError.
+void parse_gnss(const YamlValue& yaml, model::SensorDescription& out);
+
+// The optional keys imu and gnss of a map. Throws ConfigError.
 [[nodiscard]] model::SensorDescription parse_sensors(const YamlValue& yaml);
 
 // {sigma_m: ...} with optional terms of the range model, each [mean, sigma]. Throws ConfigError.

@@ -46,35 +46,47 @@ FilePlace YamlValue::place() const {
   return place_of(*path_, node_.Mark());
 }
 
-void YamlValue::fail(std::string_view problem, std::string_view remedy) const {
+ConfigError YamlValue::error(std::string_view problem, std::string_view remedy) const {
   const std::string subject = name_.empty() ? std::string(problem) : fmt::format("{} {}", name_, problem);
-  throw ConfigError(place(), subject, remedy);
+  return {place(), subject, remedy};
+}
+
+void YamlValue::fail(std::string_view problem, std::string_view remedy) const {
+  throw ConfigError(error(problem, remedy));
 }
 
 void YamlValue::expect_keys(const Keys& keys) const {
-  if (!node_.IsMap()) fail("has to be a map", fmt::format("give it the keys {}", joined(keys.required)));
+  if (const std::vector<ConfigError> errors = key_errors(keys); !errors.empty()) {
+    throw ConfigError(errors.front());
+  }
+}
+
+std::vector<ConfigError> YamlValue::key_errors(const Keys& keys) const {
+  std::vector<std::string_view> all = keys.required;
+  all.insert(all.end(), keys.optional.begin(), keys.optional.end());
+  if (!node_.IsMap()) {
+    const auto& wanted = keys.required.empty() ? all : keys.required;
+    return {error("has to be a map", fmt::format("give it the keys {}", joined(wanted)))};
+  }
+  std::vector<ConfigError> errors;
   std::set<std::string> seen;
   for (const auto& entry : node_) {
     const FilePlace key_place = place_of(*path_, entry.first.Mark());
     const std::string key = entry.first.IsScalar() ? entry.first.Scalar() : std::string();
-    const bool known = std::find(keys.required.begin(), keys.required.end(), key) != keys.required.end() ||
-                       std::find(keys.optional.begin(), keys.optional.end(), key) != keys.optional.end();
-    if (!known) {
-      std::vector<std::string_view> all = keys.required;
-      all.insert(all.end(), keys.optional.begin(), keys.optional.end());
-      throw ConfigError(key_place, fmt::format("unknown key {}", shown(key)),
-                        fmt::format("remove it; known here: {}", joined(all)));
-    }
-    if (!seen.insert(key).second) {
-      throw ConfigError(key_place, fmt::format("key {} occurs twice", key), "keep one of them");
+    if (std::find(all.begin(), all.end(), key) == all.end()) {
+      errors.emplace_back(key_place, fmt::format("unknown key {}", shown(key)),
+                          fmt::format("remove it; known here: {}", joined(all)));
+    } else if (!seen.insert(key).second) {
+      errors.emplace_back(key_place, fmt::format("key {} occurs twice", key), "keep one of them");
     }
   }
   for (const std::string_view key : keys.required) {
-    if (!seen.contains(std::string(key))) {
-      fail(name_.empty() ? fmt::format("key {} is missing", key) : fmt::format("lacks the key {}", key),
-           "add it");
-    }
+    if (seen.contains(std::string(key))) continue;
+    errors.push_back(
+        error(name_.empty() ? fmt::format("key {} is missing", key) : fmt::format("lacks the key {}", key),
+              "add it"));
   }
+  return errors;
 }
 
 YAML::Node YamlValue::child(std::string_view key) const {

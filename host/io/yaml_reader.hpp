@@ -30,6 +30,8 @@ class YamlValue {
     std::vector<std::string_view> optional = {};
   };
   void expect_keys(const Keys& keys) const;
+  // The value is no map, or its keys are unknown, repeated or missing: all such errors.
+  [[nodiscard]] std::vector<ConfigError> key_errors(const Keys& keys) const;
   [[nodiscard]] YamlValue at(std::string_view key) const;  // a required key
   [[nodiscard]] std::optional<YamlValue> find(std::string_view key) const;
 
@@ -48,10 +50,13 @@ class YamlValue {
 
   [[nodiscard]] FilePlace place() const;
   [[noreturn]] void fail(std::string_view problem, std::string_view remedy) const;
+  // The same content in the same style has the same text, whatever its comments and its place.
+  [[nodiscard]] std::string dump() const { return YAML::Dump(node_); }
 
  private:
   YamlValue(std::shared_ptr<const std::filesystem::path> path, std::string name, const YAML::Node& node)
       : path_(std::move(path)), name_(std::move(name)), node_(node) {}
+  [[nodiscard]] ConfigError error(std::string_view problem, std::string_view remedy) const;
   [[nodiscard]] YAML::Node child(std::string_view key) const;
   [[nodiscard]] std::string plain_scalar(std::string_view wanted) const;
 

@@ -55,6 +55,7 @@ class Gromad {
   }
 
   void terminate() const { ::kill(pid_, SIGTERM); }
+  void hang_up() const { ::kill(pid_, SIGHUP); }
 
   // Its whole output so far.
   const std::string& log() {

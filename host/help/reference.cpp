@@ -1,0 +1,236 @@
+#include "host/help/reference.hpp"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cctype>
+#include <utility>
+#include <vector>
+
+#include <CLI/CLI.hpp>
+
+#include "host/io/version.hpp"
+
+namespace groma::help {
+namespace {
+
+// A program or a command that runs something, with its words on the command line.
+struct Command {
+  std::string name;
+  const CLI::App* app = nullptr;
+};
+
+std::vector<const CLI::App*> commands_of(const CLI::App& app) {
+  return app.get_subcommands([](const CLI::App* command) { return !command->get_name().empty(); });
+}
+
+// The commands without subcommands, in the order of their definition.
+void append_commands(const CLI::App& app, const std::string& before, std::vector<Command>& out) {
+  const std::string name = before.empty() ? app.get_name() : before + ' ' + app.get_name();
+  const std::vector<const CLI::App*> commands = commands_of(app);
+  if (commands.empty()) out.push_back({name, &app});
+  for (const CLI::App* command : commands) append_commands(*command, name, out);
+}
+std::vector<Command> all_commands(const CLI::App& app) {
+  std::vector<Command> commands;
+  append_commands(app, "", commands);
+  return commands;
+}
+
+// An option as it is shown.
+struct Shown {
+  std::vector<std::string> names;
+  std::string value;               // placeholder of its value; empty: a flag
+  std::vector<std::string> words;  // the values that it takes; empty: any
+  std::string text;                // what it does, its bounds and its default
+  bool required = false;
+  bool positional = false;
+};
+
+std::string joined(const std::vector<std::string>& words, std::string_view separator) {
+  std::string out;
+  for (const std::string& word : words) out += (out.empty() ? "" : std::string(separator)) + word;
+  return out;
+}
+
+// CLI11 shows a type with its bounds, as in "UINT:UINT in [0 - 3]" and "TEXT:{final,next-poll}".
+void split_type(std::string_view type, Shown& shown) {
+  const std::size_t colon = type.find(':');
+  shown.value = type.substr(0, colon);
+  if (colon == std::string_view::npos) return;
+  std::string_view bounds = type.substr(colon + 1);
+  if (bounds.starts_with('{') && bounds.ends_with('}')) {
+    bounds = bounds.substr(1, bounds.size() - 2);
+    for (bool more = true; more;) {
+      const std::size_t comma = bounds.find(',');
+      shown.words.emplace_back(bounds.substr(0, comma));
+      more = comma != std::string_view::npos;
+      if (more) bounds.remove_prefix(comma + 1);
+    }
+    shown.text += fmt::format(" One of {}.", joined(shown.words, ", "));
+  } else if (const std::size_t in = bounds.find("in ["); in != std::string_view::npos) {
+    std::string range(bounds.substr(in + 4, bounds.size() - in - 5));
+    if (const std::size_t dash = range.find(" - "); dash != std::string::npos) range.replace(dash, 3, " to ");
+    shown.text += fmt::format(" From {}.", range);
+  } else if (bounds == "POSITIVE") {
+    shown.text += " Above 0.";
+  }
+}
+
+Shown shown_of(const CLI::Option& option) {
+  Shown shown;
+  for (const std::string& name : option.get_snames()) shown.names.push_back('-' + name);
+  for (const std::string& name : option.get_lnames()) shown.names.push_back("--" + name);
+  shown.positional = shown.names.empty();
+  if (shown.positional) shown.names.push_back(option.get_name(true));
+  shown.required = option.get_required();
+  shown.text = option.get_description();
+  if (!shown.text.empty() && shown.text.back() != '.') shown.text += '.';
+  split_type(option.get_type_name(), shown);
+  if (!option.get_default_str().empty()) shown.text += fmt::format(" Default: {}.", option.get_default_str());
+  return shown;
+}
+
+std::vector<Shown> options_of(const CLI::App& app) {
+  std::vector<Shown> out;
+  for (const CLI::Option* option : app.get_options()) {
+    if (!option->get_group().empty()) out.push_back(shown_of(*option));
+  }
+  // What has no name comes first, as on the command line.
+  std::stable_partition(out.begin(), out.end(), [](const Shown& option) { return option.positional; });
+  return out;
+}
+
+// What follows the words of the command.
+std::string synopsis(const CLI::App& app) {
+  std::string out = "[OPTIONS]";
+  for (const Shown& option : options_of(app)) {
+    if (!option.positional) continue;
+    out += option.required ? ' ' + option.names.front() : " [" + option.names.front() + ']';
+  }
+  return commands_of(app).empty() ? out : out + " COMMAND ...";
+}
+
+// Text for roff: no line begins with a control character, hyphens can be copied as minus.
+std::string roff(std::string_view text) {
+  std::string out;
+  bool begins_line = true;
+  for (const char c : text) {
+    if (begins_line && (c == '.' || c == '\'')) out += "\\&";
+    if (c == '-' || c == '\\') out += '\\';
+    out += c == '\\' ? 'e' : c;
+    begins_line = c == '\n';
+  }
+  return out;
+}
+
+std::string roff_options(const CLI::App& app) {
+  std::string out;
+  for (const Shown& option : options_of(app)) {
+    out += ".TP\n";
+    if (option.positional) {
+      out += fmt::format("\\fI{}\\fR\n", roff(option.names.front()));
+    } else {
+      out += fmt::format("\\fB{}\\fR", roff(joined(option.names, ", ")));
+      out += option.value.empty() ? "\n" : fmt::format(" \\fI{}\\fR\n", roff(option.value));
+    }
+    out += roff(option.text) + (option.required ? " Required.\n" : "\n");
+  }
+  return out;
+}
+
+// Cases of the command line typed so far; the cases of a command's subcommands come before its own.
+void append_cases(const CLI::App& app, const std::string& before, std::string& cases, std::string& values) {
+  std::vector<std::string> names;
+  for (const CLI::App* command : commands_of(app)) {
+    append_cases(*command, before + command->get_name() + ' ', cases, values);
+    names.push_back(command->get_name());
+  }
+  const bool runs = names.empty();
+  for (const Shown& option : options_of(app)) {
+    if (option.positional) continue;
+    names.insert(names.end(), option.names.begin(), option.names.end());
+    if (option.words.empty()) continue;
+    for (const std::string& name : option.names) {
+      values += fmt::format("    \"{}\"*\"{} \") words='{}' ;;\n", before, name, joined(option.words, " "));
+    }
+  }
+  // The other arguments of a command are files, which readline completes where no word fits.
+  cases += fmt::format("    \"{}\"*) {}words='{}' ;;\n", before, runs ? "[[ $current == -* ]] && " : "",
+                       joined(names, " "));
+}
+
+// Text in a cell of a table.
+std::string cell(std::string_view text) {
+  std::string out;
+  for (const char c : text) {
+    if (c == '|') out += '\\';
+    out += c == '\n' ? ' ' : c;
+  }
+  return out;
+}
+
+}  // namespace
+
+std::string first_sentence(std::string_view text) {
+  const std::size_t stop = text.find(". ");
+  std::string_view sentence = text.substr(0, stop);
+  if (sentence.ends_with('.')) sentence.remove_suffix(1);
+  return std::string(sentence);
+}
+
+std::string manual_page(const CLI::App& app, int section) {
+  const std::string& name = app.get_name();
+  std::string title = name;
+  std::transform(title.begin(), title.end(), title.begin(),
+                 [](unsigned char c) { return static_cast<char>(std::toupper(c)); });
+  std::string page =
+      fmt::format(".TH {} {} \"\" \"Groma {}\" \"Groma\"\n", title, section, io::program_version());
+  page += fmt::format(".SH NAME\n{} \\- {}\n", name, roff(first_sentence(app.get_description())));
+  page += fmt::format(".SH SYNOPSIS\n\\fB{}\\fR {}\n", name, roff(synopsis(app)));
+  page += fmt::format(".SH DESCRIPTION\n{}\n.SH OPTIONS\n{}", roff(app.get_description()), roff_options(app));
+  const std::vector<Command> commands = all_commands(app);
+  if (commands.front().app != &app) {
+    page += ".SH COMMANDS\n";
+    for (const Command& command : commands) {
+      page += fmt::format(".SS {}\n\\fB{}\\fR {}\n.PP\n{}\n{}", roff(command.name), roff(command.name),
+                          roff(synopsis(*command.app)), roff(command.app->get_description()),
+                          roff_options(*command.app));
+    }
+  }
+  page += fmt::format(".SH EXIT STATUS\n{}\n", roff(app.get_footer()));
+  page += ".SH SEE ALSO\n\\fBgroma\\fR(1), \\fBgromad\\fR(8)";
+  return page;
+}
+
+std::string bash_completion(const CLI::App& app) {
+  const std::string& name = app.get_name();
+  std::string cases;
+  std::string values;
+  append_cases(app, "", cases, values);
+  std::string out = fmt::format("# Completion of {} for bash.\n_{}() {{\n", name, name);
+  out += "  local current=${COMP_WORDS[COMP_CWORD]} words=\n";
+  out += "  local line=\"${COMP_WORDS[*]:1:COMP_CWORD-1} \"\n  line=${line# }\n";
+  out += fmt::format("  case \"$line\" in\n{}  esac\n", cases);
+  if (!values.empty()) out += fmt::format("  case \"$line\" in\n{}  esac\n", values);
+  out += "  mapfile -t COMPREPLY < <(compgen -W \"$words\" -- \"$current\")\n}\n";
+  out += fmt::format("complete -o default -F _{} {}", name, name);
+  return out;
+}
+
+std::string option_tables(const CLI::App& app) {
+  std::string out;
+  for (const Command& command : all_commands(app)) {
+    out += fmt::format("{}## {}\n\n    {} {}\n\n{}\n\n| option | |\n|---|---|\n", out.empty() ? "" : "\n",
+                       command.name, command.name, synopsis(*command.app), command.app->get_description());
+    for (const Shown& option : options_of(*command.app)) {
+      const std::string value = option.value.empty() || option.positional ? "" : ' ' + option.value;
+      out += fmt::format("| `{}{}` | {}{} |\n", joined(option.names, ", "), value, cell(option.text),
+                         option.required ? " Required." : "");
+    }
+  }
+  out.pop_back();
+  return out;
+}
+
+}  // namespace groma::help

@@ -1,0 +1,161 @@
+// Help, manual page, completion and tables of options of groma, and the pages of docs/reference that have to
+// agree.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <filesystem>
+#include <map>
+#include <regex>
+#include <set>
+#include <sstream>
+#include <string>
+#include <vector>
+
+#include "test/support/child_process.hpp"
+#include "test/support/scratch_folder.hpp"
+
+namespace groma {
+namespace {
+
+using test::ChildResult;
+using test::read_text;
+using testing::HasSubstr;
+using testing::IsEmpty;
+
+const std::filesystem::path kReference = std::filesystem::path(GROMA_SOURCE_DIR) / "docs" / "reference";
+
+ChildResult groma(std::vector<std::string> arguments) {
+  arguments.insert(arguments.begin(), GROMA_EXECUTABLE);
+  return test::run_child(arguments);
+}
+
+std::string printed(const std::string& format) {
+  const ChildResult result = groma({"--print-reference", format});
+  EXPECT_EQ(result.exit_code, 0) << result.err;
+  return result.out;
+}
+
+// Long options in a text.
+std::set<std::string> options_in(const std::string& text) {
+  static const std::regex kOption("(?:^|[^-\\w])(--[a-z][-a-z]*)");
+  std::set<std::string> out;
+  for (std::sregex_iterator match(text.begin(), text.end(), kOption), end; match != end; ++match) {
+    out.insert((*match)[1]);
+  }
+  return out;
+}
+
+// The sections of a page in Markdown by their headings of the second level, without `prefix`.
+std::map<std::string, std::string> sections(const std::string& page, const std::string& prefix) {
+  std::map<std::string, std::string> out;
+  std::istringstream lines(page);
+  std::string* section = nullptr;
+  for (std::string line; std::getline(lines, line);) {
+    const std::string heading = "## " + prefix;
+    if (line.rfind("## ", 0) == 0) {
+      section = line.rfind(heading, 0) == 0 ? &out[line.substr(heading.size())] : nullptr;
+    } else if (section != nullptr) {
+      *section += line + '\n';
+    }
+  }
+  return out;
+}
+
+// The options of each command, by the tables that groma prints.
+std::map<std::string, std::set<std::string>> defined_options() {
+  std::map<std::string, std::set<std::string>> out;
+  for (const auto& [command, text] : sections(printed("markdown"), "groma ")) {
+    std::istringstream lines(text);
+    for (std::string line; std::getline(lines, line);) {
+      if (line.rfind("| `", 0) != 0) continue;
+      out[command].merge(options_in(line.substr(0, line.find("` |"))));
+    }
+    out[command].erase("--help");
+  }
+  return out;
+}
+
+TEST(Help, HasEachCommandAtTheStartOfALineOfItsOwn) {
+  const ChildResult help = groma({"--help"});
+  ASSERT_EQ(help.exit_code, 0);
+  std::set<std::string> first_words;
+  std::istringstream lines(help.out);
+  for (std::string line; std::getline(lines, line);) first_words.insert(line.substr(0, line.find(' ')));
+  const auto commands = defined_options();
+  EXPECT_GE(commands.size(), 16U);
+  for (const auto& [command, options] : commands) {
+    EXPECT_TRUE(first_words.contains(command.substr(0, command.find(' ')))) << command << "\n" << help.out;
+  }
+}
+
+TEST(Help, OfACommandThatDoesNotExistIsAUsageError) {
+  const ChildResult help = groma({"nonsense", "--help"});
+  EXPECT_EQ(help.exit_code, 2);
+  EXPECT_THAT(help.out, IsEmpty());
+  EXPECT_THAT(help.err, HasSubstr("nonsense"));
+  EXPECT_EQ(groma({"--help", "nonsense"}).exit_code, 2);
+  EXPECT_EQ(groma({"surface", "nonsense", "--help"}).exit_code, 2);
+  EXPECT_EQ(groma({"nonsense"}).exit_code, 2);
+  EXPECT_EQ(groma({"calibrate", "--help"}).exit_code, 0);
+  EXPECT_EQ(groma({"surface", "fit", "--help"}).exit_code, 0);
+  EXPECT_EQ(groma({"--print-reference", "nonsense"}).exit_code, 2);
+}
+
+TEST(Reference, PageOfOptionsIsThePrintedOne) {
+  const std::string page = read_text(kReference / "options.md");
+  const std::string text = printed("markdown");
+  ASSERT_THAT(page, HasSubstr(text.substr(0, text.find('\n'))));
+  const std::size_t begin = page.find("\n## groma ") + 1;
+  EXPECT_EQ(page.substr(begin, text.size()), text)
+      << "replace it by the output of groma --print-reference markdown";
+}
+
+// The first indented lines of a section are the command's usage.
+TEST(Reference, UsageOfEachCommandHasAllItsOptions) {
+  const auto documented = sections(read_text(kReference / "commands.md"), "groma ");
+  for (const auto& [command, options] : defined_options()) {
+    ASSERT_TRUE(documented.contains(command)) << command;
+    const std::string& section = documented.at(command);
+    const std::size_t begin = section.find("\n    groma ");
+    ASSERT_NE(begin, std::string::npos) << command;
+    const std::string usage = section.substr(begin, section.find("\n\n", begin + 1) - begin);
+    EXPECT_EQ(options_in(std::regex_replace(usage, std::regex(" -o "), " --output ")), options) << command;
+  }
+}
+
+TEST(Reference, ManualPageHasEachCommandAndOption) {
+  std::string page = printed("man");
+  EXPECT_EQ(page.rfind(".TH GROMA 1 ", 0), 0U) << page.substr(0, 80);
+  page = std::regex_replace(page, std::regex("\\\\-"), "-");
+  for (const auto& [command, options] : defined_options()) {
+    const std::size_t begin = page.find(".SS groma " + command + "\n");
+    ASSERT_NE(begin, std::string::npos) << command;
+    const std::string section = page.substr(begin, page.find("\n.S", begin + 1) - begin);
+    for (const std::string& option : options) EXPECT_THAT(section, HasSubstr(option + "\\fR")) << command;
+  }
+}
+
+TEST(Reference, CompletionKnowsCommandsOptionsAndTheirWords) {
+  const test::ScratchFolder folder;
+  folder.write("groma", printed("bash"));
+  const auto after = [&](const std::vector<std::string>& words) {
+    std::vector<std::string> arguments{
+        "/bin/bash", "-c",
+        "set -u; . \"$0\"; COMP_WORDS=(\"$@\"); COMP_CWORD=$(($# - 1)); _groma; echo \"${COMPREPLY[*]-}\"",
+        (folder / "groma").string(), "groma"};
+    arguments.insert(arguments.end(), words.begin(), words.end());
+    const ChildResult result = test::run_child(arguments);
+    EXPECT_THAT(result.err, IsEmpty());
+    return result.out;
+  };
+  EXPECT_EQ(after({"cal"}), "calibrate\n");
+  EXPECT_EQ(after({"su"}), "surface survey\n");
+  EXPECT_EQ(after({"surface", ""}), "fit -h --help\n");
+  EXPECT_EQ(after({"surface", "fit", "--sp"}), "--spacing\n");
+  EXPECT_EQ(after({"calibrate", "--known"}), "--known-anchors\n");
+  EXPECT_EQ(after({"plan", "--method", ""}), "final next-poll\n");
+  EXPECT_EQ(after({"calibrate", ""}), "\n") << "files, by readline";
+}
+
+}  // namespace
+}  // namespace groma
