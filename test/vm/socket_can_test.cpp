@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "host/link/can_log.hpp"
+#include "host/link/can_path.hpp"
 #include "host/link/reconnecting_link.hpp"
 #include "host/link/report_decoder.hpp"
 #include "test/host/link/node_frames.hpp"
