@@ -92,7 +92,7 @@ NodeLink parse_can_node(const YamlValue& entry) {
 // Must be unique among the entries. A CAN node's identity does not depend on the frame format, that of a USB
 // device not on leading zeros.
 std::string identity_of(const NodeLink& node) {
-  const std::string path = node.path.string();
+  std::string path = node.path.string();
   if (const auto can = link::parse_can_path(path)) return fmt::format("can:{}/{}", can->interface, can->node);
   if (!link::is_usb_port_path(path)) return path;
   const std::size_t digits = path.find_first_not_of('0', link::kUsbPortScheme.size());
@@ -266,6 +266,7 @@ YamlType endpoint_type() {
 
 YamlType model_type() {
   std::vector<std::string> names;
+  names.reserve(std::size(filter::kModels));
   for (const filter::Model model : filter::kModels) names.emplace_back(filter::model_name(model));
   return YamlType::word(std::move(names));
 }
@@ -349,6 +350,7 @@ YamlValue::Keys names_of(const std::vector<ConfigKey>& keys) {
 
 YamlType type_of(const std::vector<ConfigKey>& keys) {
   std::vector<io::YamlKey> all;
+  all.reserve(keys.size());
   for (const ConfigKey& key : keys) all.push_back(key.key);
   return YamlType::map(std::move(all), {{"robot_socket"}, {"robot"}});
 }

@@ -37,7 +37,7 @@ std::string printed(const std::string& format) {
 
 // Long options in a text.
 std::set<std::string> options_in(const std::string& text) {
-  static const std::regex kOption("(?:^|[^-\\w])(--[a-z][-a-z]*)");
+  static const std::regex kOption("(?:^|[^-\\w])(--[a-z][-a-z0-9]*)");
   std::set<std::string> out;
   for (std::sregex_iterator match(text.begin(), text.end(), kOption), end; match != end; ++match) {
     out.insert((*match)[1]);

@@ -193,7 +193,7 @@ TEST_F(ConfigSchema, AllowsTheOtherSurfaces) {
     // The type is good, the file is missing.
     const auto problems = problems_of(with(plane, surface));
     ASSERT_EQ(problems.size(), 1U) << surface;
-    EXPECT_THAT(problems.front().text, HasSubstr("gromad.yaml:10:10: ")) << surface;
+    EXPECT_THAT(problems.front().text, HasSubstr("gromad.yaml:11:10: ")) << surface;
     EXPECT_THAT(problems.front().text, HasSubstr("a.csv: does not exist")) << surface;
   }
 }

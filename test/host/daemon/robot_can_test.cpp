@@ -174,7 +174,8 @@ TEST_F(RobotCan, NamesThePlaceOfEachMistake) {
   EXPECT_THAT(error_of_speed("Drive.Sped"), HasSubstr("name one of its signals: Speed, Side, Rate, Kmh"));
   EXPECT_THAT(error_of_speed("Drive.Long"), HasSubstr("robot.dbc:10:6: Drive.Long does not fit the 8 bytes"));
   EXPECT_THAT(error_with("{vx_mps: Drive.Speed}"), HasSubstr("robot.signals lacks the key omega_radps"));
-  EXPECT_THAT(error_with("{vx_mps: Drive.Speed, vz_mps: Drive.Speed}"), HasSubstr("unknown key 'vz_mps'"));
+  EXPECT_THAT(error_with("{vx_mps: Drive.Speed, omega_radps: Imu.RateZ, vz_mps: Drive.Speed}"),
+              HasSubstr("unknown key 'vz_mps'"));
   const std::string good = "{vx_mps: Drive.Speed, omega_radps: Imu.RateZ}";
   EXPECT_THAT(error_with(good, "speed: 2"),
               HasSubstr(":12:8: speed cannot be combined with odometry over CAN"));
