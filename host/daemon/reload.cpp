@@ -34,6 +34,7 @@ std::string placed(const io::Error& error, const io::FilePlace& place) {
 
 std::vector<std::string> texts_of(const std::vector<ConfigProblem>& problems) {
   std::vector<std::string> texts;
+  texts.reserve(problems.size());
   for (const ConfigProblem& problem : problems) texts.push_back(problem.text);
   return texts;
 }

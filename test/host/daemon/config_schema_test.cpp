@@ -44,7 +44,7 @@ speed: 4
 )";
 
 json scalar_to_json(const YAML::Node& node) {
-  const std::string text = node.Scalar();
+  const std::string& text = node.Scalar();
   if (node.Tag() == "!") return text;
   if (text == "true" || text == "false") return text == "true";
   char* end = nullptr;

@@ -60,7 +60,7 @@ class PrometheusParser {
            (letter(rest_[n]) || (n > 0 && std::isdigit(static_cast<unsigned char>(rest_[n])) != 0)))
       ++n;
     require(n > 0, "no name");
-    const std::string text(rest_.substr(0, n));
+    std::string text(rest_.substr(0, n));
     rest_.remove_prefix(n);
     return text;
   }
