@@ -75,6 +75,7 @@ std::string format_text(const calibration::Comparison& comparison, const model::
   for (const calibration::PairChange& pair : comparison.pairs) {
     if (!pair.differs) continue;
     std::vector<std::string> terms;
+    terms.reserve(std::size(model::kPairTerms));
     for (const model::PairTerm& term : model::kPairTerms)
       terms.push_back(fmt::format(fmt::runtime(term.text.change), pair.*term.value, pair.*term.sigma));
     text += fmt::format("tag {}, anchor {}: {}\n", pair.tag_id, pair.anchor_id, fmt::join(terms, ", "));

@@ -29,6 +29,7 @@ std::vector<std::string_view> views_of(const std::vector<std::string>& words) {
 // The words of the maps' own keys `type`.
 std::vector<std::string> variant_words(const std::vector<YamlType>& maps) {
   std::vector<std::string> words;
+  words.reserve(maps.size());
   for (const YamlType& map : maps) words.push_back(map.keys.front().type.words.front());
   return words;
 }

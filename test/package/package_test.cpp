@@ -53,7 +53,8 @@ class Package : public testing::Test {
  protected:
   static void SetUpTestSuite() {
     folder_ = new test::ScratchFolder();
-    output_of({"cpack", "--config", GROMA_BUILD_DIR "/CPackConfig.cmake", "-B", folder_->path()});
+    const std::string build = GROMA_BUILD_DIR;
+    output_of({"cpack", "--config", build + "/CPackConfig.cmake", "-B", folder_->path()});
     for (const auto& entry : std::filesystem::directory_iterator(folder_->path())) {
       if (entry.path().extension() == ".deb") deb_ = entry.path();
     }
