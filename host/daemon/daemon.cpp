@@ -1,11 +1,9 @@
 #include "host/daemon/daemon.hpp"
 
 #include <fmt/format.h>
-#include <pb_encode.h>
 #include <sys/signalfd.h>
 #include <unistd.h>
 
-#include <array>
 #include <csignal>
 #include <filesystem>
 #include <system_error>
@@ -17,7 +15,6 @@
 #include "host/daemon/robot_can.hpp"
 #include "host/link/line_listener.hpp"
 #include "host/link/report_decoder.hpp"
-#include "proto/frame_codec.hpp"
 
 namespace groma::daemon {
 namespace {
@@ -57,13 +54,7 @@ std::vector<std::uint8_t> hello_request() {
   groma_HostToNode message = groma_HostToNode_init_zero;
   message.request_id = 1;
   message.which_body = groma_HostToNode_get_hello_tag;
-  std::array<std::uint8_t, groma_HostToNode_size> payload{};
-  pb_ostream_t stream = pb_ostream_from_buffer(payload.data(), payload.size());
-  if (!pb_encode(&stream, groma_HostToNode_fields, &message)) return {};
-  const auto content = std::span(payload).first(stream.bytes_written);
-  std::vector<std::uint8_t> frame(wire::max_encoded_size(content.size()));
-  frame.resize(wire::encode_frame(content, frame));
-  return frame;
+  return link::request_frame(message);
 }
 
 }  // namespace

@@ -1,7 +1,6 @@
 #include "host/daemon/tcp_listener.hpp"
 
 #include <fmt/format.h>
-#include <netdb.h>
 #include <netinet/in.h>
 #include <netinet/tcp.h>
 #include <sys/socket.h>
@@ -10,14 +9,12 @@
 #include <system_error>
 #include <utility>
 
+#include "host/link/listening_socket.hpp"
+
 namespace groma::daemon {
 namespace {
 
 constexpr int kBacklog = 16;
-
-struct AddressDeleter {
-  void operator()(addrinfo* found) const noexcept { ::freeaddrinfo(found); }
-};
 
 link::LinkError explain(const Endpoint& endpoint, std::string_view key, int error) {
   const std::string where = fmt::format("{} port {}", endpoint.address, endpoint.port);
@@ -54,25 +51,12 @@ bool lacks_resources(int error) {
 
 TcpListener::Opened TcpListener::open(EventLoop& loop, const Endpoint& endpoint, std::string_view key,
                                       Accepted accepted) {
-  addrinfo hints{};
-  hints.ai_flags = AI_NUMERICHOST | AI_NUMERICSERV | AI_PASSIVE;
-  hints.ai_socktype = SOCK_STREAM;
-  addrinfo* raw = nullptr;
-  if (::getaddrinfo(endpoint.address.c_str(), std::to_string(endpoint.port).c_str(), &hints, &raw) != 0) {
-    return {nullptr, explain(endpoint, key, EADDRNOTAVAIL)};
-  }
-  const std::unique_ptr<addrinfo, AddressDeleter> found(raw);
-  io::Descriptor listener(::socket(found->ai_family, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0));
-  const int on = 1;
-  if (!listener.valid() || ::setsockopt(listener.get(), SOL_SOCKET, SO_REUSEADDR, &on, sizeof(on)) != 0 ||
-      ::bind(listener.get(), found->ai_addr, found->ai_addrlen) != 0 ||
-      ::listen(listener.get(), kBacklog) != 0) {
-    return {nullptr, explain(endpoint, key, errno)};
-  }
-  const std::uint16_t bound = bound_port(listener.get());
-  return {
-      std::unique_ptr<TcpListener>(new TcpListener(loop, std::move(listener), bound, std::move(accepted))),
-      {}};
+  link::ListeningSocket listening = link::listen_at(endpoint.address, endpoint.port, SOCK_STREAM, kBacklog);
+  if (!listening.fd.valid()) return {nullptr, explain(endpoint, key, listening.error)};
+  const std::uint16_t bound = bound_port(listening.fd.get());
+  return {std::unique_ptr<TcpListener>(
+              new TcpListener(loop, std::move(listening.fd), bound, std::move(accepted))),
+          {}};
 }
 
 TcpListener::TcpListener(EventLoop& loop, io::Descriptor listener, std::uint16_t port, Accepted accepted)

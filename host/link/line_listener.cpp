@@ -2,7 +2,6 @@
 
 #include <fcntl.h>
 #include <fmt/format.h>
-#include <netdb.h>
 #include <sys/epoll.h>
 #include <sys/socket.h>
 #include <sys/stat.h>
@@ -17,6 +16,7 @@
 #include <string_view>
 #include <utility>
 
+#include "host/link/listening_socket.hpp"
 #include "host/link/network_link.hpp"
 
 namespace groma::link {
@@ -65,15 +65,6 @@ Descriptor open_spare() noexcept {
   return Descriptor(::open("/dev/null", O_RDONLY | O_CLOEXEC));
 }
 
-struct AddressDeleter {
-  void operator()(addrinfo* addresses) const noexcept { ::freeaddrinfo(addresses); }
-};
-
-struct Listening {
-  Descriptor fd;
-  int error = 0;
-};
-
 // Whether a program serves the socket at this address.
 bool is_served(const sockaddr_un& address) noexcept {
   const Descriptor client(::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0));
@@ -81,7 +72,7 @@ bool is_served(const sockaddr_un& address) noexcept {
          ::connect(client.get(), reinterpret_cast<const sockaddr*>(&address), sizeof(address)) == 0;
 }
 
-Listening listen_at_file(const std::string& path) {
+ListeningSocket listen_at_file(const std::string& path) {
   sockaddr_un address{};
   address.sun_family = AF_UNIX;
   if (path.size() >= sizeof(address.sun_path)) return {{}, ENAMETOOLONG};
@@ -99,26 +90,6 @@ Listening listen_at_file(const std::string& path) {
   return {std::move(fd), 0};
 }
 
-Listening listen_at_port(const NetworkPath& path) {
-  addrinfo hints{};
-  hints.ai_socktype = path.udp ? SOCK_DGRAM : SOCK_STREAM;
-  hints.ai_flags = AI_NUMERICHOST | AI_NUMERICSERV | AI_PASSIVE;
-  addrinfo* found = nullptr;
-  if (::getaddrinfo(path.host.c_str(), fmt::format("{}", path.port).c_str(), &hints, &found) != 0) {
-    return {{}, EADDRNOTAVAIL};
-  }
-  const std::unique_ptr<addrinfo, AddressDeleter> owned(found);
-  Descriptor fd(::socket(found->ai_family, found->ai_socktype | SOCK_NONBLOCK | SOCK_CLOEXEC, 0));
-  const int on = 1;
-  // After a restart, connections of the run before still hold the port for a while.
-  if (fd.valid() && !path.udp) ::setsockopt(fd.get(), SOL_SOCKET, SO_REUSEADDR, &on, sizeof(on));
-  if (!fd.valid() || ::bind(fd.get(), found->ai_addr, found->ai_addrlen) != 0 ||
-      (!path.udp && ::listen(fd.get(), kBacklog) != 0)) {
-    return {{}, errno};
-  }
-  return {std::move(fd), 0};
-}
-
 }  // namespace
 
 LineListener::LineListener(Descriptor poll, Descriptor listener, bool datagrams,
@@ -127,6 +98,7 @@ LineListener::LineListener(Descriptor poll, Descriptor listener, bool datagrams,
       listener_(std::move(listener)),
       spare_(open_spare()),
       datagrams_(datagrams),
+      datagram_(datagrams ? kMaxDatagram : 0, '\0'),
       socket_file_(std::move(socket_file)) {}
 
 LineListener::~LineListener() {
@@ -191,11 +163,10 @@ void LineListener::turn_away() {
 }
 
 void LineListener::receive_datagrams() {
-  std::string datagram(kMaxDatagram, '\0');
   while (lines_.size() < kMostLines) {
-    const ssize_t n = ::recv(listener_.get(), datagram.data(), datagram.size(), MSG_DONTWAIT);
+    const ssize_t n = ::recv(listener_.get(), datagram_.data(), datagram_.size(), MSG_DONTWAIT);
     if (n < 0) return;
-    lines_.append(datagram, 0, static_cast<std::size_t>(n));
+    lines_.append(datagram_, 0, static_cast<std::size_t>(n));
     if (n > 0 && lines_.back() != '\n') lines_ += '\n';
   }
 }
@@ -231,7 +202,9 @@ OpenedLink open_line_listener(const std::string& path) {
   if (is_network_path(path) && (!network || network->local_port)) {
     return {nullptr, explain_listen_error(path, EADDRNOTAVAIL)};
   }
-  Listening listening = network ? listen_at_port(*network) : listen_at_file(path);
+  ListeningSocket listening =
+      network ? listen_at(network->host, network->port, network->udp ? SOCK_DGRAM : SOCK_STREAM, kBacklog)
+              : listen_at_file(path);
   if (!listening.fd.valid()) return {nullptr, explain_listen_error(path, listening.error)};
   const std::filesystem::path socket_file = network ? "" : path;
   Descriptor poll(::epoll_create1(EPOLL_CLOEXEC));

@@ -56,6 +56,7 @@ class LineListener : public ByteLink {
   Descriptor listener_;
   Descriptor spare_;  // given up to accept and close a connection where no other is left
   bool datagrams_;
+  std::string datagram_;  // buffer
   std::filesystem::path socket_file_;
   std::vector<Client> clients_;
   std::uint64_t turns_ = 0;

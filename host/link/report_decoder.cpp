@@ -33,17 +33,21 @@ std::int64_t network_time_dtu(const groma_SlotReport& report, const groma_Range&
 
 }  // namespace
 
-std::vector<std::uint8_t> time_request(double now_s) {
-  groma_HostToNode message = groma_HostToNode_init_zero;
-  message.which_body = groma_HostToNode_time_request_tag;
-  message.body.time_request.host_time_ns = static_cast<std::uint64_t>(std::llround(now_s * 1e9));
-  std::array<std::uint8_t, 32> payload{};
+std::vector<std::uint8_t> request_frame(const groma_HostToNode& message) {
+  std::array<std::uint8_t, groma_HostToNode_size> payload{};
   pb_ostream_t stream = pb_ostream_from_buffer(payload.data(), payload.size());
   if (!pb_encode(&stream, groma_HostToNode_fields, &message)) return {};
   const auto content = std::span(payload).first(stream.bytes_written);
   std::vector<std::uint8_t> frame(wire::max_encoded_size(content.size()));
   frame.resize(wire::encode_frame(content, frame));
   return frame;
+}
+
+std::vector<std::uint8_t> time_request(double now_s) {
+  groma_HostToNode message = groma_HostToNode_init_zero;
+  message.which_body = groma_HostToNode_time_request_tag;
+  message.body.time_request.host_time_ns = static_cast<std::uint64_t>(std::llround(now_s * 1e9));
+  return request_frame(message);
 }
 
 void ReportDecoder::take(std::span<const std::uint8_t> bytes, double arrival_s, NodeSink& sink) {

@@ -65,6 +65,8 @@ struct ReportCounters {
 // ReportDecoder::take(). The decoder estimates the link's delay from the reply. One request a second is
 // enough.
 [[nodiscard]] std::vector<std::uint8_t> time_request(double now_s);
+// The frame of any request; empty if the message cannot be encoded.
+[[nodiscard]] std::vector<std::uint8_t> request_frame(const groma_HostToNode& message);
 
 class ReportDecoder {
  public:

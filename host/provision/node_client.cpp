@@ -1,7 +1,6 @@
 #include "host/provision/node_client.hpp"
 
 #include <fmt/format.h>
-#include <pb_encode.h>
 #include <poll.h>
 
 #include <algorithm>
@@ -12,8 +11,7 @@
 #include <random>
 #include <span>
 #include <utility>
-
-#include "proto/frame_codec.hpp"
+#include <vector>
 
 namespace groma::provision {
 
@@ -177,12 +175,9 @@ std::optional<NodeClient::Survey> NodeClient::ask_survey(std::uint16_t exchanges
 bool NodeClient::send(const groma_HostToNode& addressed) {
   groma_HostToNode command = addressed;
   command.target_id = target_;
-  std::array<std::uint8_t, groma_HostToNode_size> payload{};
-  pb_ostream_t stream = pb_ostream_from_buffer(payload.data(), payload.size());
-  if (!pb_encode(&stream, groma_HostToNode_fields, &command)) return false;
-  std::array<std::uint8_t, wire::max_encoded_size(groma_HostToNode_size)> frame{};
-  const std::size_t size = wire::encode_frame(std::span(payload).first(stream.bytes_written), frame);
-  std::span<const std::uint8_t> left = std::span(frame).first(size);
+  const std::vector<std::uint8_t> frame = link::request_frame(command);
+  if (frame.empty()) return false;
+  std::span<const std::uint8_t> left = frame;
   constexpr double kMaxSend_s = 1.0;
   return wait(kMaxSend_s, [&] {
     left = left.subspan(std::min(link_->write(left), left.size()));
