@@ -34,10 +34,9 @@ constexpr double kMaxDrift_rad = 0.5;
 constexpr double kMoved_m = 0.02;
 constexpr double kMoved_rad = 0.01;
 
-bool is_moved(const LastPose& from, const LastPose& to) {
+bool is_moved(const LastPose& from, const PoseEstimate& to) {
   return std::hypot(to.x_m - from.x_m, to.y_m - from.y_m) > kMoved_m ||
-         std::abs(model::wrap_angle(to.yaw_rad - from.yaw_rad)) > kMoved_rad || from.floor != to.floor ||
-         from.calibration != to.calibration;
+         std::abs(model::wrap_angle(to.yaw_rad - from.yaw_rad)) > kMoved_rad || from.floor != to.floor;
 }
 
 }  // namespace
@@ -49,11 +48,17 @@ HostTime host_time() {
     std::getline(file, id);
     return id;
   }();
+  HostTime time{.boot = boot};
+  update(time);
+  return time;
+}
+
+void update(HostTime& time) {
   timespec since_boot{};
   static_cast<void>(::clock_gettime(CLOCK_BOOTTIME, &since_boot));
   const std::chrono::duration<double> since_1970 = std::chrono::system_clock::now().time_since_epoch();
-  return {since_1970.count(),
-          static_cast<double>(since_boot.tv_sec) + 1e-9 * static_cast<double>(since_boot.tv_nsec), boot};
+  time.unix_s = since_1970.count();
+  time.since_boot_s = static_cast<double>(since_boot.tv_sec) + 1e-9 * static_cast<double>(since_boot.tv_nsec);
 }
 
 std::string digest_of(const model::Calibration& calibration) {
@@ -155,43 +160,39 @@ std::optional<filter::Start> LastPoseFile::read(const model::Calibration& calibr
 }
 
 void LastPoseFile::take(const PoseEstimate& pose, double now_s) {
-  newest_ = LastPose{host_time(), calibration_, std::string(pose.floor), pose.x_m,
-                     pose.y_m,    pose.yaw_rad, pose.planar_covariance};
+  newest_ = pose;
+  update(taken_);
   if (!is_due(now_s)) return;
   written_s_ = now_s;
   write();
 }
 
 bool LastPoseFile::is_due(double now_s) const {
-  if (writing_.valid() && writing_.wait_for(std::chrono::seconds(0)) != std::future_status::ready)
-    return false;
+  if (writer_.busy()) return false;
   if (!written_) return true;
   const double since_s = now_s - written_s_;
-  return since_s >= (is_moved(*written_, *newest_) ? kPeriod_s : kStationaryPeriod_s);
+  const bool changed = is_moved(*written_, *newest_) || written_->calibration != calibration_;
+  return since_s >= (changed ? kPeriod_s : kStationaryPeriod_s);
 }
 
 void LastPoseFile::write() {
-  if (writing_.valid()) report(writing_.get());
-  written_ = newest_;
-  writing_ = std::async(std::launch::async, [path = path_, text = format_last_pose(*newest_)] {
-    try {
-      io::write_file(path, text);
-    } catch (const io::Error& error) {
-      return std::string(error.what());
-    }
-    return std::string();
-  });
+  finish_writing();
+  written_ = LastPose{taken_,       calibration_,     std::string(newest_->floor), newest_->x_m,
+                      newest_->y_m, newest_->yaw_rad, newest_->planar_covariance};
+  writer_.start(path_, format_last_pose(*written_));
 }
 
-void LastPoseFile::report(const std::string& error) {
-  if (!error.empty() && error != reported_error_) log_(error);
-  reported_error_ = error;
+void LastPoseFile::finish_writing() {
+  const std::optional<std::string> error = writer_.finish();
+  if (!error) return;
+  if (!error->empty() && *error != reported_error_) log_(*error);
+  reported_error_ = *error;
 }
 
 void LastPoseFile::finish() {
   if (!newest_) return;
   write();
-  report(writing_.get());
+  finish_writing();
 }
 
 }  // namespace groma::daemon

@@ -7,13 +7,13 @@
 
 #include <filesystem>
 #include <functional>
-#include <future>
 #include <optional>
 #include <string>
 #include <string_view>
 
 #include <Eigen/Core>
 
+#include "host/daemon/file_writer.hpp"
 #include "host/daemon/localizer.hpp"
 #include "host/filter/filter.hpp"
 #include "host/model/calibration.hpp"
@@ -28,6 +28,8 @@ struct HostTime {
   std::string boot;           // identifies the boot
 };
 [[nodiscard]] HostTime host_time();
+// Reads the clocks again; the boot stays.
+void update(HostTime& time);
 
 struct LastPose {
   HostTime time;
@@ -72,15 +74,17 @@ class LastPoseFile {
  private:
   [[nodiscard]] bool is_due(double now_s) const;
   void write();
-  void report(const std::string& error);
+  void finish_writing();
 
   std::filesystem::path path_;
   Log log_;
   std::string calibration_;
-  std::optional<LastPose> newest_;
+  // No copies of texts for each pose.
+  std::optional<PoseEstimate> newest_;
+  HostTime taken_ = host_time();  // when newest_ was taken
   std::optional<LastPose> written_;
-  double written_s_ = 0.0;            // host time of the pose
-  std::future<std::string> writing_;  // the error; empty: written
+  double written_s_ = 0.0;  // host time of the pose
+  FileWriter writer_;
   std::string reported_error_;
 };
 

@@ -94,22 +94,15 @@ std::optional<model::Calibration> SiteCalibrator::service_learner() {
   return learner_->live();
 }
 
-// Writes one file at a time, in a thread that may wait for the disk.
 void SiteCalibrator::write_learned() {
-  if (writing_.valid()) {
-    if (!is_done(writing_)) return;
-    if (const std::string error = writing_.get(); !error.empty()) log_(error);
-  }
+  if (writer_.busy()) return;
+  finish_writing();
   if (!std::exchange(to_write_, false)) return;
-  writing_ = std::async(std::launch::async, [path = *config_.calibration.output,
-                                             text = io::format_calibration(learner_->live())] {
-    try {
-      io::write_file(path, text);
-    } catch (const io::Error& error) {
-      return std::string(error.what());
-    }
-    return std::string();
-  });
+  writer_.start(*config_.calibration.output, io::format_calibration(learner_->live()));
+}
+
+void SiteCalibrator::finish_writing() {
+  if (const auto error = writer_.finish(); error && !error->empty()) log_(*error);
 }
 
 void SiteCalibrator::on_settled(const PoseEstimate& pose) {
@@ -139,10 +132,9 @@ void SiteCalibrator::finish_learning() {
   to_write_ = to_write_ && config_.calibration.output.has_value();
   for (const std::string& news : learner_->take_news()) log_(news);
   // The file that is being written, then the last one.
-  for (int i = 0; i < 2; ++i) {
-    if (writing_.valid()) writing_.wait();
-    write_learned();
-  }
+  finish_writing();
+  write_learned();
+  finish_writing();
 }
 
 }  // namespace groma::daemon

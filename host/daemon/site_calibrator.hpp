@@ -14,6 +14,7 @@
 #include "host/daemon/anchor_learner.hpp"
 #include "host/daemon/calibration_drive.hpp"
 #include "host/daemon/config.hpp"
+#include "host/daemon/file_writer.hpp"
 #include "host/daemon/localizer.hpp"
 #include "host/daemon/session.hpp"
 #include "host/model/calibration.hpp"
@@ -51,6 +52,7 @@ class SiteCalibrator {
   [[nodiscard]] std::optional<model::Calibration> service_drive();
   [[nodiscard]] std::optional<model::Calibration> service_learner();
   void write_learned();
+  void finish_writing();
   void finish_learning();
 
   const Config& config_;
@@ -61,9 +63,9 @@ class SiteCalibrator {
   std::future<calibration::Result> solution_;
   bool failed_ = false;
   std::unique_ptr<AnchorLearner> learner_;
-  bool in_use_ = false;               // a calibration is
-  bool to_write_ = false;             // the learner's anchors are not in their file yet
-  std::future<std::string> writing_;  // the error; empty: written
+  bool in_use_ = false;    // a calibration is
+  bool to_write_ = false;  // the learner's anchors are not in their file yet
+  FileWriter writer_;
 };
 
 }  // namespace groma::daemon
