@@ -35,8 +35,7 @@ convert::Converted convert_drive(const ConvertOptions& options, convert::Recordi
 // With the estimates of the filter, as groma replay computes them.
 convert::Converted convert_with_estimates(const ConvertOptions& options, Warnings& warnings) {
   FilterInput::Drive drive = options.input.read("convert", FilterInput::StartIs::kFoundOtherwise, warnings);
-  drive.options.config.range_delay_sigma_s = filter::kRangeDelaySigma_s;
-  drive.options.config.odometry_delay_sigma_s = filter::kOdometryDelaySigma_s;
+  filter::set_unknown_delays(drive.options.config);
   const filter::ReplayResult result = filter::replay(drive.run(), drive.options);
   options.input.expect_finite(result.rows, result.spatial);
   FilterInput::warn_of_mismatch(result, warnings);

@@ -160,8 +160,7 @@ History replay(const ExplainOptions& options, FilterInput::Drive& drive) {
   History history;
   filter::ReplayOptions& replay = drive.options;
   replay.config.model = *filter::model_from_name(options.model);
-  replay.config.range_delay_sigma_s = filter::kRangeDelaySigma_s;
-  replay.config.odometry_delay_sigma_s = filter::kOdometryDelaySigma_s;
+  filter::set_unknown_delays(replay.config);
   replay.to_s = replay.to_s ? std::min(*replay.to_s, to_s) : to_s;
   replay.on_range = [&](const filter::Tracker& tracker, const model::RangeSample& range,
                         const filter::RangeResult& result) {

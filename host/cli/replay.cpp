@@ -84,8 +84,7 @@ int run(const ReplayOptions& options) {
   FilterInput::Drive drive = options.input.read("replay", FilterInput::StartIs::kFoundOtherwise, warnings);
   filter::ReplayOptions& replay = drive.options;
   replay.config.model = *filter::model_from_name(options.model);
-  replay.config.range_delay_sigma_s = filter::kRangeDelaySigma_s;
-  replay.config.odometry_delay_sigma_s = filter::kOdometryDelaySigma_s;
+  filter::set_unknown_delays(replay.config);
   replay.now_ns = now_ns;
   const auto begin = std::chrono::steady_clock::now();
   const filter::ReplayResult result = filter::replay(drive.run(), replay);

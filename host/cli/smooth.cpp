@@ -32,8 +32,7 @@ int run(const SmoothOptions& options) {
   Warnings warnings;
   FilterInput::Drive drive = options.input.read("smooth", FilterInput::StartIs::kNeeded, warnings);
   drive.options.config.model = *filter::model_from_name(options.model);
-  drive.options.config.range_delay_sigma_s = filter::kRangeDelaySigma_s;
-  drive.options.config.odometry_delay_sigma_s = filter::kOdometryDelaySigma_s;
+  filter::set_unknown_delays(drive.options.config);
   const smoother::Result result = smoother::smooth(drive.run(), drive.options);
   if (result.rows.empty()) {
     throw io::DataError({options.input.dataset() / "odometry.csv"},

@@ -6,7 +6,6 @@
 #include <string>
 
 #include <Eigen/Eigenvalues>
-#include <Eigen/Geometry>
 
 #include "host/convert/encoder.hpp"
 #include "host/convert/proto_writer.hpp"
@@ -45,7 +44,7 @@ std::string vector3(const Eigen::Vector3d& of) {
 }
 
 std::string quaternion(const Eigen::Matrix3d& rotation) {
-  const Eigen::Quaterniond of(rotation);
+  const Eigen::Vector4d of = model::quaternion_of(rotation);
   return ProtoWriter().number(1, of.x()).number(2, of.y()).number(3, of.z()).number(4, of.w()).message();
 }
 

@@ -9,8 +9,6 @@
 #include <utility>
 #include <vector>
 
-#include <Eigen/Geometry>
-
 #include "host/convert/cdr_writer.hpp"
 #include "host/convert/encoder.hpp"
 #include "host/convert/ros2_schemas.hpp"
@@ -48,7 +46,7 @@ void put_vector(CdrWriter& out, const Eigen::Vector3d& of) {
 }
 
 void put_quaternion(CdrWriter& out, const Eigen::Matrix3d& rotation) {
-  const Eigen::Quaterniond of(rotation);
+  const Eigen::Vector4d of = model::quaternion_of(rotation);
   out.put(of.x()).put(of.y()).put(of.z()).put(of.w());
 }
 

@@ -23,9 +23,8 @@
 namespace groma::daemon {
 namespace {
 
-using io::YamlValue;
-
 using io::YamlType;
+using io::YamlValue;
 
 constexpr double kMinDrive_s = 10.0;
 constexpr double kMaxDrive_s = 3600.0;
@@ -405,8 +404,7 @@ filter::Config Config::filter_config() const {
   out.odometry = odometry;
   out.range_sigma_m = range.sigma_m;
   out.sensors = filter::SensorConfig(sensors);
-  out.range_delay_sigma_s = filter::kRangeDelaySigma_s;
-  out.odometry_delay_sigma_s = filter::kOdometryDelaySigma_s;
+  filter::set_unknown_delays(out);
   return out;
 }
 

@@ -54,8 +54,7 @@ int check(const std::filesystem::path& path) {
 int run(int argc, char** argv) {
   CLI::App app(
       "Localizes a robot from UWB ranges and its odometry, and serves its pose as JSON lines on TCP. SIGTERM "
-      "stops "
-      "it, SIGHUP reloads the calibration and the tags' lever arms.",
+      "stops it, SIGHUP reloads the calibration and the tags' lever arms.",
       "gromad");
   help::prepare(app, 8, {{"schema", config_schema}});
   app.set_version_flag("--version", fmt::format("gromad {}", io::program_version()));

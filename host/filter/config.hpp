@@ -133,5 +133,10 @@ inline constexpr double kRangeDelayChange_s = 0.005;
 // 50 ms. In simulation LateLinks.DelaysOfOdometryAndRangesAreEstimatedSeparately sets its own.
 inline constexpr double kRangeDelaySigma_s = 0.01;
 inline constexpr double kOdometryDelaySigma_s = 0.015;
+// Nobody has measured the delays of ranges and odometry.
+inline void set_unknown_delays(Config& config) noexcept {
+  config.range_delay_sigma_s = kRangeDelaySigma_s;
+  config.odometry_delay_sigma_s = kOdometryDelaySigma_s;
+}
 
 }  // namespace groma::filter

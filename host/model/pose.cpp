@@ -117,6 +117,11 @@ SurfacePose pose_on_surface(const Surface& surface, const PlanarPose& planar) no
   return out;
 }
 
+Eigen::Vector4d quaternion_of(const Eigen::Matrix3d& rotation) noexcept {
+  const Eigen::Quaterniond turned(rotation);
+  return turned.w() < 0.0 ? Eigen::Vector4d(-turned.coeffs()) : turned.coeffs();
+}
+
 SpatialEstimate on_surface(const Surface& surface, const PlanarPose& planar,
                            const Eigen::Matrix<double, 6, 6>& covariance) noexcept {
   const SurfacePose at = pose_on_surface(surface, planar);
@@ -128,8 +133,7 @@ SpatialEstimate on_surface(const Surface& surface, const PlanarPose& planar,
   out.roll_rad = std::atan2(rotation(2, 1), rotation(2, 2));
   // Not -0 on level ground.
   out.pitch_rad = std::atan2(0.0 - rotation(2, 0), cos_pitch);
-  const Eigen::Quaterniond turned(rotation);
-  out.quaternion = turned.w() < 0.0 ? -turned.coeffs() : turned.coeffs();
+  out.quaternion = quaternion_of(rotation);
   out.chart = planar.chart;
 
   Eigen::Matrix<double, 6, 6> by = Eigen::Matrix<double, 6, 6>::Zero();

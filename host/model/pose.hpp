@@ -39,6 +39,9 @@ struct SurfaceRotation {
 // ZYX Euler angles to a rotation.
 [[nodiscard]] Eigen::Matrix3d rotation_from_zyx(double yaw_rad, double pitch_rad, double roll_rad) noexcept;
 
+// x, y, z, w; w is not negative.
+[[nodiscard]] Eigen::Vector4d quaternion_of(const Eigen::Matrix3d& rotation) noexcept;
+
 // sigma^-1 and R_WR of a planar pose, with derivatives by x, y and theta.
 struct SurfacePose {
   RigidPose pose;
