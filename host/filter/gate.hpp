@@ -143,6 +143,8 @@ class Gate {
   std::array<Pair, kMaxPairs> pairs_{};
   double poll_interval_s_ = 0.0;  // 0.9 quantile of the gaps between a pair's ranges; 0: unknown
   double t_s_ = 0.0;
+  double began_s_ = 0.0;
+  bool start_fits_ = false;
   Tally all_;
   std::array<Tally, kMaxAnchors> anchors_{};
   bool suspects_divergence_ = false;

@@ -19,14 +19,14 @@ enum class Mechanism : std::uint8_t {
   kGroundMismatch,  // height and slope errors of the surface model
   kAntennaPattern,  // of a tag, by direction
   // filter: weights of ranges
-  kGate,               // soft gate as a whole
-  kGateMemory,         // a pair that was NLOS is expected to stay NLOS
-  kGateTags,           // NLOS of one tag of an anchor makes NLOS of the others likelier
-  kGateReception,      // missed polls
-  kGatePowers,         // received powers
-  kGateShort,          // ranges that are too short
-  kDivergence,         // divergence flag: the covariance grows while ranges are rejected
-  kDivergenceLasting,  // also raised where most ranges are rejected for 5 s
+  kGate,             // soft gate as a whole
+  kGateMemory,       // a pair that was NLOS is expected to stay NLOS
+  kGateTags,         // NLOS of one tag of an anchor makes NLOS of the others likelier
+  kGateReception,    // missed polls
+  kGatePowers,       // received powers
+  kGateShort,        // ranges that are too short
+  kDivergence,       // divergence flag: the covariance grows while ranges are rejected
+  kDivergenceStart,  // also raised where most ranges since a start are rejected
   // filter: noise and faults of odometry
   kRangeNoise,      // white range noise, tuned by innovations
   kRangeBiasNoise,  // sigma of the Gauss-Markov range bias, tuned by innovations
