@@ -340,13 +340,6 @@ std::vector<ConfigKey> config_keys() {
   return keys;
 }
 
-YamlValue::Keys names_of(const std::vector<ConfigKey>& keys) {
-  YamlValue::Keys names;
-  for (const ConfigKey& key : keys)
-    (key.key.required ? names.required : names.optional).emplace_back(key.key.name);
-  return names;
-}
-
 YamlType type_of(const std::vector<ConfigKey>& keys) {
   std::vector<io::YamlKey> all;
   all.reserve(keys.size());
@@ -417,7 +410,7 @@ ConfigReading parse_config(const std::filesystem::path& path) {
   try {
     const YamlValue yaml = YamlValue::parse(path, all.read(path));
     const std::vector<ConfigKey> keys = config_keys();
-    for (const io::ConfigError& error : yaml.key_errors(names_of(keys))) errors.add(error);
+    for (const io::ConfigError& error : type_of(keys).key_errors_of(yaml)) errors.add(error);
     errors.attempt(yaml, [&] { expect_robot(yaml); });
     for (const ConfigKey& key : keys) {
       const auto value = yaml.find(key.key.name);

@@ -16,12 +16,6 @@ namespace {
 constexpr std::array<std::string_view, 2> kSwitch{"false", "true"};
 constexpr std::string_view kVariantKey = "type";
 
-YamlValue::Keys names_of(const std::vector<YamlKey>& keys) {
-  YamlValue::Keys names;
-  for (const YamlKey& key : keys) (key.required ? names.required : names.optional).emplace_back(key.name);
-  return names;
-}
-
 std::vector<std::string_view> views_of(const std::vector<std::string>& words) {
   return {words.begin(), words.end()};
 }
@@ -120,6 +114,12 @@ std::vector<ConfigError> YamlType::errors_of(const YamlValue& value) const {
   return errors;
 }
 
+std::vector<ConfigError> YamlType::key_errors_of(const YamlValue& value) const {
+  YamlValue::Keys names;
+  for (const YamlKey& key : keys) (key.required ? names.required : names.optional).emplace_back(key.name);
+  return value.key_errors(names);
+}
+
 void YamlType::expect(const YamlValue& value) const {
   if (const std::vector<ConfigError> errors = errors_of(value); !errors.empty())
     throw ConfigError(errors.front());
@@ -166,7 +166,7 @@ void YamlType::check_scalar(const YamlValue& value) const {
 }
 
 void YamlType::check_map(const YamlValue& value, std::vector<ConfigError>& errors) const {
-  std::vector<ConfigError> own = value.key_errors(names_of(keys));
+  std::vector<ConfigError> own = key_errors_of(value);
   errors.insert(errors.end(), own.begin(), own.end());
   for (const YamlKey& key : keys) {
     if (const std::optional<YamlValue> child = value.find(key.name)) key.type.check(*child, errors);

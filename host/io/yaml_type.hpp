@@ -56,7 +56,9 @@ struct YamlType {
 
   // All errors of the value, in the order of the keys. It may still violate rules that no type states.
   [[nodiscard]] std::vector<ConfigError> errors_of(const YamlValue& value) const;
-  // Throws the first of them.
+  // Those of the keys alone, for a map: unknown, repeated, missing.
+  [[nodiscard]] std::vector<ConfigError> key_errors_of(const YamlValue& value) const;
+  // Throws the first of errors_of().
   void expect(const YamlValue& value) const;
   // As JSON Schema, draft 7.
   [[nodiscard]] nlohmann::ordered_json schema() const;
