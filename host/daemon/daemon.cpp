@@ -203,7 +203,7 @@ void Daemon::adopt(model::Calibration calibration) {
 }
 
 void Daemon::publish(const PoseEstimate& pose) {
-  const std::string line = pose_line(pose, pipeline_.frame(), filter::model_name(config_.model));
+  const std::string_view line = pose_writer_.line(pose, pipeline_.frame(), filter::model_name(config_.model));
   for (const auto& output : outputs_) output->on_pose(pose, line);
   pose_latency_.observe((loop_.now_s() - arrival_s_) / config_.speed);
   if (last_pose_ && pose.state == filter::State::kTracking) last_pose_->take(pose, loop_.now_s());

@@ -85,6 +85,7 @@ class Daemon {
   std::optional<model::Calibration> known_;   // of the file, until open()
   std::optional<SiteCalibrator> calibrator_;  // from open() on
   std::unique_ptr<LastPoseFile> last_pose_;
+  PoseWriter pose_writer_;
   double arrival_s_ = 0.0;  // of what the pipeline is taking
   LatencyHistogram pose_latency_;
   std::string metrics_;
