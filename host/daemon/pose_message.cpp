@@ -162,15 +162,19 @@ std::string status_line(const Status& status) {
     object["round_trip_s"] = link.round_trip_s ? Json(*link.round_trip_s) : Json(nullptr);
     links.push_back(std::move(object));
   }
-  return line({{"class", "STATUS"},
-               {"state", status.state},
-               {"odometry", status.odometry},
-               {"ranges", status.ranges},
-               {"frames_lost", status.frames_lost},
-               {"dropped", status.dropped},
-               {"links", std::move(links)},
-               {"robot", state_of(status.robot)},
-               {"diagnosis", diagnosis::to_json(status.diagnosis)}});
+  Json robots = Json::array();
+  for (const LinkStatus& link : status.robots) robots.push_back(state_of(link));
+  Json object{{"class", "STATUS"},
+              {"state", status.state},
+              {"odometry", status.odometry},
+              {"ranges", status.ranges},
+              {"frames_lost", status.frames_lost},
+              {"dropped", status.dropped},
+              {"links", std::move(links)},
+              {"robot", robots.empty() ? Json(nullptr) : robots.front()},
+              {"diagnosis", diagnosis::to_json(status.diagnosis)}};
+  if (robots.size() > 1) object["robots"] = std::move(robots);
+  return line(object);
 }
 
 }  // namespace groma::daemon

@@ -31,9 +31,9 @@ struct Status {
   std::uint64_t odometry = 0;
   std::uint64_t ranges = 0;
   std::uint64_t frames_lost = 0;
-  std::uint64_t dropped = 0;        // measurements and lines, for any cause
-  std::vector<LinkStatus> links{};  // of the nodes
-  LinkStatus robot{};
+  std::uint64_t dropped = 0;         // measurements and lines, for any cause
+  std::vector<LinkStatus> links{};   // of the nodes
+  std::vector<LinkStatus> robots{};  // the robot's links
   std::vector<diagnosis::Finding> diagnosis{};
 };
 
@@ -84,7 +84,8 @@ class PoseWriter {
 // "sigma_m"}]}: the progress of calibration while driving.
 [[nodiscard]] std::string calibration_line(model::Verdict verdict, std::span<const AnchorProgress> anchors);
 
-// {"class":"STATUS","state",...}
+// {"class":"STATUS","state",...}. "robot" is the first of the robot's links; if there are several, "robots"
+// has all.
 [[nodiscard]] std::string status_line(const Status& status);
 
 }  // namespace groma::daemon
