@@ -97,16 +97,16 @@ class Timeline {
 
 InputPose placed(const model::PoseSample& sample, InputPose::Kind kind, const model::Surface& surface) {
   const model::PlanarPose planar = filter::place_on(surface, sample);
-  return {kind, sample.t_s, model::pose_on_surface(surface, planar).pose, sample.covariance};
+  const model::RigidPose at = model::pose_on_surface(surface, planar).pose;
+  return {kind, sample.t_s, {at.position_m, model::quaternion_of(at.rotation)}, sample.covariance};
 }
 
-Estimate estimate_of(const filter::ReplayResult& result, std::size_t row, const model::Surface& surface,
+Estimate estimate_of(const filter::ReplayResult& result, std::size_t row,
                      const model::OdometrySample& odometry) {
   const model::PlanarEstimate& planar = result.rows[row];
   const model::SpatialEstimate& spatial = result.spatial[row];
-  const model::PlanarPose at{planar.x_m, planar.y_m, planar.yaw_rad, spatial.chart};
   return {.t_s = planar.t_s,
-          .pose = model::pose_on_surface(surface, at).pose,
+          .pose = {{planar.x_m, planar.y_m, spatial.z_m}, spatial.quaternion},
           .roll_rad = spatial.roll_rad,
           .pitch_rad = spatial.pitch_rad,
           .yaw_rad = planar.yaw_rad,
@@ -150,7 +150,7 @@ void put_all(const Recording& recording, std::span<const model::SensorSample> se
         encoder.put(odometry);
         break;
       case Event::Source::kEstimate:
-        encoder.put(estimate_of(*recording.result, i, dataset.surface, odometry));
+        encoder.put(estimate_of(*recording.result, i, odometry));
         break;
     }
   }

@@ -14,7 +14,6 @@
 #include "host/filter/tracker.hpp"
 #include "host/mcap/writer.hpp"
 #include "host/model/calibration.hpp"
-#include "host/model/pose.hpp"
 #include "host/model/types.hpp"
 
 namespace groma::convert {
@@ -38,19 +37,25 @@ struct Site {
   double gyro_sigma_radps = 0.0;
 };
 
-// A pose of base_link in the map frame that was an input; placed on the surface.
+// In the map frame, by default not rotated.
+struct Pose {
+  Eigen::Vector3d position_m = Eigen::Vector3d::Zero();
+  Eigen::Vector4d quaternion{0.0, 0.0, 0.0, 1.0};  // x, y, z, w
+};
+
+// A pose of base_link that was an input; placed on the surface.
 struct InputPose {
   enum class Kind { kPrior, kAbsolute };
   Kind kind = Kind::kPrior;
   double t_s = 0.0;
-  model::RigidPose pose;
+  Pose pose;
   std::optional<model::PoseCovariance> covariance;  // none: unknown
 };
 
 // An estimate, at the time of an odometry sample.
 struct Estimate {
   double t_s = 0.0;
-  model::RigidPose pose;
+  Pose pose;
   double roll_rad = 0.0;
   double pitch_rad = 0.0;
   double yaw_rad = 0.0;                                                          // the heading on the surface

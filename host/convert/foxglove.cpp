@@ -11,6 +11,7 @@
 #include "host/convert/proto_writer.hpp"
 #include "host/convert/schemas.hpp"
 #include "host/io/calibration_file.hpp"
+#include "host/model/pose.hpp"
 
 namespace groma::convert {
 
@@ -43,14 +44,12 @@ std::string vector3(const Eigen::Vector3d& of) {
   return ProtoWriter().number(1, of.x()).number(2, of.y()).number(3, of.z()).message();
 }
 
-std::string quaternion(const Eigen::Matrix3d& rotation) {
-  const Eigen::Vector4d of = model::quaternion_of(rotation);
+std::string quaternion(const Eigen::Vector4d& of) {
   return ProtoWriter().number(1, of.x()).number(2, of.y()).number(3, of.z()).number(4, of.w()).message();
 }
 
-std::string pose(const Eigen::Vector3d& position_m,
-                 const Eigen::Matrix3d& rotation = Eigen::Matrix3d::Identity()) {
-  return ProtoWriter().bytes(1, vector3(position_m)).bytes(2, quaternion(rotation)).message();
+std::string pose(const Pose& of) {
+  return ProtoWriter().bytes(1, vector3(of.position_m)).bytes(2, quaternion(of.quaternion)).message();
 }
 
 std::string color(const Color& of) {
@@ -66,7 +65,7 @@ ProtoWriter in_frame(double t_s, std::string_view frame) {
 
 std::string cube(const Eigen::Vector3d& at_m, double size_m, const Color& of) {
   return ProtoWriter()
-      .bytes(1, pose(at_m))
+      .bytes(1, pose({at_m}))
       .bytes(2, vector3(Eigen::Vector3d::Constant(size_m)))
       .bytes(3, color(of))
       .message();
@@ -74,7 +73,7 @@ std::string cube(const Eigen::Vector3d& at_m, double size_m, const Color& of) {
 
 std::string text_above(const Eigen::Vector3d& at_m, const std::string& text) {
   return ProtoWriter()
-      .bytes(1, pose(at_m + kText_m * Eigen::Vector3d::UnitZ()))
+      .bytes(1, pose({at_m + kText_m * Eigen::Vector3d::UnitZ()}))
       .integer(2, 1)  // faces the viewer
       .number(3, kText_m)
       .bytes(5, color(kWhite))
@@ -103,7 +102,7 @@ std::string robot_entity(double t_s, std::span<const model::Tag> tags) {
   ProtoWriter out = in_frame(t_s, kBaseFrame);
   out.bytes(3, "robot").integer(5, 1);  // frame_locked: it moves with its frame
   out.bytes(7, ProtoWriter()
-                   .bytes(1, pose(Eigen::Vector3d::Zero()))
+                   .bytes(1, pose({}))
                    .number(2, kArrow_m - kHead_m)
                    .number(3, 0.1)
                    .number(4, kHead_m)
@@ -122,7 +121,7 @@ std::string ellipse_entity(const Estimate& estimate, std::string_view frame) {
   return in_frame(estimate.t_s, frame)
       .bytes(3, "uncertainty")
       .bytes(10, ProtoWriter()
-                     .bytes(1, pose(estimate.pose.position_m, turn))
+                     .bytes(1, pose({estimate.pose.position_m, model::quaternion_of(turn)}))
                      .bytes(2, vector3(Eigen::Vector3d(size_m.x(), size_m.y(), kEllipseHeight_m)))
                      .number(3, 1.0)
                      .number(4, 1.0)
@@ -215,7 +214,7 @@ class FoxgloveEncoder final : public Encoder {
           in_frame(t_s, site_.frame)
               .bytes(3, kBaseFrame)
               .bytes(4, vector3(estimate.pose.position_m))
-              .bytes(5, quaternion(estimate.pose.rotation))
+              .bytes(5, quaternion(estimate.pose.quaternion))
               .message());
     write_pose("/groma/pose", t_s, estimate.pose);
     write_estimate(estimate);
@@ -234,9 +233,9 @@ class FoxgloveEncoder final : public Encoder {
   }
 
  private:
-  void write_pose(std::string_view topic, double t_s, const model::RigidPose& of) {
+  void write_pose(std::string_view topic, double t_s, const Pose& of) {
     ProtoWriter out = in_frame(t_s, site_.frame);
-    out.bytes(3, pose(of.position_m, of.rotation));
+    out.bytes(3, pose(of));
     write(topic, "foxglove.PoseInFrame", t_s, out.message());
   }
 

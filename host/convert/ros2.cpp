@@ -13,6 +13,7 @@
 #include "host/convert/encoder.hpp"
 #include "host/convert/ros2_schemas.hpp"
 #include "host/io/calibration_file.hpp"
+#include "host/model/pose.hpp"
 
 namespace groma::convert {
 
@@ -45,14 +46,13 @@ void put_vector(CdrWriter& out, const Eigen::Vector3d& of) {
   out.put(of.x()).put(of.y()).put(of.z());
 }
 
-void put_quaternion(CdrWriter& out, const Eigen::Matrix3d& rotation) {
-  const Eigen::Vector4d of = model::quaternion_of(rotation);
+void put_quaternion(CdrWriter& out, const Eigen::Vector4d& of) {
   out.put(of.x()).put(of.y()).put(of.z()).put(of.w());
 }
 
-void put_pose(CdrWriter& out, const model::RigidPose& pose) {
+void put_pose(CdrWriter& out, const Pose& pose) {
   put_vector(out, pose.position_m);
-  put_quaternion(out, pose.rotation);
+  put_quaternion(out, pose.quaternion);
 }
 
 void put_covariance(CdrWriter& out, const Covariance& of) {
@@ -107,7 +107,7 @@ void put_marker(CdrWriter& out, double t_s, std::string_view frame, const Marker
   put_header(out, t_s, frame);
   out.put(marker.type == kCube ? "anchors" : "names").put(marker.id);
   out.put(static_cast<std::int32_t>(marker.type)).put(std::int32_t{0});  // adds it
-  put_pose(out, {marker.position_m, Eigen::Matrix3d::Identity()});
+  put_pose(out, {marker.position_m});
   put_vector(out, Eigen::Vector3d::Constant(marker.size_m));
   const bool is_text = marker.type == kText;
   out.put(is_text || !marker.is_usable ? kFull : kLow).put(is_text || marker.is_usable ? kFull : kLow);
@@ -182,7 +182,7 @@ class Ros2Encoder final : public Encoder {
   void put(const model::YawRateSample& sample) override {
     CdrWriter out;
     put_header(out, sample.t_s, kBaseFrame);
-    put_quaternion(out, Eigen::Matrix3d::Identity());
+    put_quaternion(out, Pose{}.quaternion);
     put_diagonal(out, {-1.0, 0.0, 0.0});  // no orientation
     put_vector(out, {0.0, 0.0, sample.omega_radps});
     put_diagonal(out, {kUnknownVariance, kUnknownVariance, model::square(site_.gyro_sigma_radps)});
@@ -233,8 +233,7 @@ class Ros2Encoder final : public Encoder {
     for (const double term : matrix.reshaped()) out.put(term);
   }
 
-  void write_pose(std::string_view topic, double t_s, const model::RigidPose& pose,
-                  const Covariance& covariance) {
+  void write_pose(std::string_view topic, double t_s, const Pose& pose, const Covariance& covariance) {
     CdrWriter out;
     put_header(out, t_s, site_.frame);
     put_pose(out, pose);

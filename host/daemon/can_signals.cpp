@@ -186,7 +186,6 @@ void check_values(const YamlValue& yaml, std::size_t quantity, const CanSignal& 
 CanSignal parse_signal(const YamlValue& yaml, std::size_t quantity, const std::vector<DbcMessage>& messages,
                        const std::filesystem::path& dbc) {
   const bool is_map = yaml.is_map();
-  if (is_map) yaml.expect_keys({{"signal"}, {"scale"}});
   const YamlValue name = is_map ? yaml.at("signal") : yaml;
   const Found found = find_signal(name, messages, dbc);
   io::expect_readable(*found.message, *found.signal);
@@ -214,8 +213,6 @@ CanSignals parse_can_signals(const YamlValue& yaml, const std::filesystem::path&
   const std::filesystem::path dbc = folder / yaml.at("dbc").text();
   const std::vector<DbcMessage> messages = io::parse_dbc(dbc, files.read(dbc));
   const YamlValue signals = yaml.at("signals");
-  signals.expect_keys(
-      {{kCanQuantityNames[0], kCanQuantityNames[2]}, {kCanQuantityNames[1], kCanQuantityNames[3]}});
   for (std::size_t i = 0; i < kCanQuantities; ++i) {
     if (const auto signal = signals.find(kCanQuantityNames.at(i)))
       out.used.at(i) = parse_signal(*signal, i, messages, dbc);

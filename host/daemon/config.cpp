@@ -157,20 +157,32 @@ CalibrationSource parse_calibration_source(const YamlValue& yaml, const std::fil
   return source;
 }
 
+std::filesystem::path parse_listen(const YamlValue& yaml, const std::filesystem::path& folder) {
+  std::filesystem::path path = parse_address(yaml, folder);
+  const auto network = link::parse_network_path(path.string());
+  if (network && (!is_numeric_address(network->host) || network->local_port)) {
+    yaml.fail("is not a numeric address and a port",
+              "write tcp://127.0.0.1:4723 for this computer only, tcp://0.0.0.0:4723 for the network");
+  }
+  return path;
+}
+
 void parse_robot(const YamlValue& robot, const std::filesystem::path& folder, io::InputFiles& files,
                  Config& config) {
-  const auto listen = robot.find("listen");
-  if (!listen) {
-    config.robot_can = parse_can_signals(robot, folder, files);
-    return;
+  if (const auto listen = robot.find("listen")) {
+    const std::vector<YamlValue> all = listen->is_scalar() ? std::vector{*listen} : listen->list();
+    if (all.empty()) listen->fail("is empty", "name a socket or a port");
+    for (const YamlValue& each : all) {
+      const std::filesystem::path path = parse_listen(each, folder);
+      if (std::find(config.robot_listen.begin(), config.robot_listen.end(), path) !=
+          config.robot_listen.end()) {
+        each.fail("is given twice", "name each socket or port once");
+      }
+      config.robot_listen.push_back(path);
+    }
   }
-  robot.expect_keys({{"listen"}});
-  config.robot_listen = parse_address(*listen, folder);
-  const auto network = link::parse_network_path(config.robot_listen.string());
-  if (network && (!is_numeric_address(network->host) || network->local_port)) {
-    listen->fail("is not a numeric address and a port",
-                 "write tcp://127.0.0.1:4723 for this computer only, tcp://0.0.0.0:4723 for the network");
-  }
+  const bool has_can = robot.find("can") || robot.find("dbc") || robot.find("signals");
+  if (has_can || config.robot_listen.empty()) config.robot_can = parse_can_signals(robot, folder, files);
 }
 
 // Keys that are absent keep their values.
@@ -195,10 +207,10 @@ void parse_speed(const YamlValue& yaml, Config& config) {
   }
 }
 
-// The keys of which exactly one is given.
+// The keys of which at least one is given.
 void expect_robot(const YamlValue& yaml) {
-  if (yaml.find("robot_socket").has_value() != yaml.find("robot").has_value()) return;
-  yaml.fail("must have either 'robot_socket' or 'robot'",
+  if (yaml.find("robot_socket") || yaml.find("robot")) return;
+  yaml.fail("has neither 'robot_socket' nor 'robot'",
             "name the robot's socket, or give 'listen' or the signals on its CAN bus");
 }
 
@@ -229,18 +241,19 @@ YamlType robot_type() {
   std::vector<io::YamlKey> signals;
   for (std::size_t i = 0; i < kCanQuantities; ++i) {
     const bool is_required = i == 0 || i == 2;
-    signals.push_back({std::string(kCanQuantityNames.at(i)),
-                       YamlType::text_or_map({{"signal", YamlType::text(), "MESSAGE.SIGNAL of the DBC file."},
-                                              {"scale", YamlType::number(), "SI units in one unit.", false}}),
-                       "MESSAGE.SIGNAL of the DBC file, or with a scale.", is_required});
+    signals.push_back(
+        {std::string(kCanQuantityNames.at(i)),
+         YamlType::text_or(YamlType::map({{"signal", YamlType::text(), "MESSAGE.SIGNAL of the DBC file."},
+                                          {"scale", YamlType::number(), "SI units in one unit.", false}})),
+         "MESSAGE.SIGNAL of the DBC file, or with a scale.", is_required});
   }
   return YamlType::map(
-      {{"listen", YamlType::text(), "A Unix socket, tcp://ADDRESS:PORT or udp://ADDRESS:PORT to serve.",
-        false},
+      {{"listen", YamlType::text_or(YamlType::list(YamlType::text())),
+        "A Unix socket, tcp://ADDRESS:PORT or udp://ADDRESS:PORT to serve, or a list of them.", false},
        {"can", YamlType::text(), "Interface of the robot's CAN bus.", false},
        {"dbc", YamlType::text(), "DBC file of its messages.", false},
        {"signals", YamlType::map(std::move(signals)), "The signals of odometry and IMU.", false}},
-      {{"listen"}, {"can", "dbc", "signals"}});
+      {{"listen"}, {"can", "dbc", "signals"}}, /*combines=*/true);
 }
 
 YamlType tags_type() {
@@ -307,7 +320,7 @@ void append_optional(std::vector<ConfigKey>& keys) {
                    "Unix socket or tcp://HOST:PORT on which the robot's software listens.", false},
                   [](Yaml yaml, In in, Files&) { in.config.robot_socket = parse_address(yaml, in.folder); }});
   keys.push_back({{"robot", robot_type(),
-                   "Where gromad listens for the robot's software, or the robot's CAN bus.", false},
+                   "Where gromad listens for the robot's software, and the robot's CAN bus.", false},
                   [](Yaml yaml, In in, Files& files) { parse_robot(yaml, in.folder, files, in.config); }});
   keys.push_back({{"imu", io::imu_type(), "Noise of the robot's yaw rates.", false},
                   [](Yaml yaml, In in, Files&) { io::parse_imu(yaml, in.config.sensors); }});
@@ -340,18 +353,11 @@ std::vector<ConfigKey> config_keys() {
   return keys;
 }
 
-YamlValue::Keys names_of(const std::vector<ConfigKey>& keys) {
-  YamlValue::Keys names;
-  for (const ConfigKey& key : keys)
-    (key.key.required ? names.required : names.optional).emplace_back(key.key.name);
-  return names;
-}
-
 YamlType type_of(const std::vector<ConfigKey>& keys) {
   std::vector<io::YamlKey> all;
   all.reserve(keys.size());
   for (const ConfigKey& key : keys) all.push_back(key.key);
-  return YamlType::map(std::move(all), {{"robot_socket"}, {"robot"}});
+  return YamlType::map(std::move(all), {{"robot_socket"}, {"robot"}}, /*combines=*/true);
 }
 
 // Errors in the order of their places in the file.
@@ -417,7 +423,7 @@ ConfigReading parse_config(const std::filesystem::path& path) {
   try {
     const YamlValue yaml = YamlValue::parse(path, all.read(path));
     const std::vector<ConfigKey> keys = config_keys();
-    for (const io::ConfigError& error : yaml.key_errors(names_of(keys))) errors.add(error);
+    for (const io::ConfigError& error : type_of(keys).key_errors_of(yaml)) errors.add(error);
     errors.attempt(yaml, [&] { expect_robot(yaml); });
     for (const ConfigKey& key : keys) {
       const auto value = yaml.find(key.key.name);

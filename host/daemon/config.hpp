@@ -7,8 +7,10 @@
 //     - {path: tcp://10.0.0.7:4001}   # a serial server; see host/link/network_link.hpp
 //     - {path: can:can0/2}            # or canfd:can0/2; see host/link/can_path.hpp
 //   robot_socket: robot.sock          # JSON lines: robot_input.hpp
-//                                     # or tcp://HOST:PORT; or robot: {listen: robot.sock}: gromad serves it;
-//                                     # or robot: {can: can0, dbc: robot.dbc, signals: ...}: can_signals.hpp
+//                                     # or tcp://HOST:PORT
+//   robot:                            # in place of robot_socket, or beside it
+//     listen: [robot.sock, "udp://127.0.0.1:4723"]   # gromad serves these; one may be without brackets
+//     can: can0                       # with dbc and signals: can_signals.hpp
 //   tags:                             # position of each tag's antenna in base_link
 //     - {id: 1, lever_arm_m: [0.3, 0.2, 0.6]}
 //   odometry: {sigma_vx_mps: 0.05, sigma_vy_mps: 0.05, sigma_omega_radps: 0.01}
@@ -65,9 +67,9 @@ struct Config {
   std::map<std::string, std::string>
       values;  // each top-level key's value, with a digest of the files it names
   std::vector<NodeLink> nodes;
-  // One of these three is given.
-  std::filesystem::path robot_socket;  // the robot's software listens there
-  std::filesystem::path robot_listen;  // the daemon listens there; see host/link/line_listener.hpp
+  // At least one of these three is given.
+  std::filesystem::path robot_socket;               // the robot's software listens there; empty: none
+  std::vector<std::filesystem::path> robot_listen;  // the daemon listens there; host/link/line_listener.hpp
   std::optional<CanSignals> robot_can;
   std::vector<model::Tag> tags;
   model::OdometryNoise odometry;

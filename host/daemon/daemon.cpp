@@ -7,7 +7,6 @@
 #include <csignal>
 #include <filesystem>
 #include <system_error>
-#include <tuple>
 #include <utility>
 
 #include "groma.pb.h"
@@ -32,13 +31,16 @@ link::ReconnectingLink::Opener input_opener(const std::string& path, unsigned ba
   };
 }
 
-// The name of the robot's link, and what opens it.
-std::pair<std::string, link::ReconnectingLink::Opener> robot_input(const Config& config) {
-  if (config.robot_can) return {robot_can_name(*config.robot_can), robot_can_opener(*config.robot_can)};
-  const std::string listen = config.robot_listen.string();
-  if (!listen.empty()) return {listen, [listen] { return link::open_line_listener(listen); }};
-  const std::string path = config.robot_socket.string();
-  return {path, input_opener(path, 0)};
+// The name of each of the robot's links, and what opens it.
+std::vector<std::pair<std::string, link::ReconnectingLink::Opener>> robot_inputs(const Config& config) {
+  std::vector<std::pair<std::string, link::ReconnectingLink::Opener>> inputs;
+  if (const std::string path = config.robot_socket.string(); !path.empty())
+    inputs.emplace_back(path, input_opener(path, 0));
+  for (const std::filesystem::path& listen : config.robot_listen)
+    inputs.emplace_back(listen.string(), [path = listen.string()] { return link::open_line_listener(path); });
+  if (config.robot_can)
+    inputs.emplace_back(robot_can_name(*config.robot_can), robot_can_opener(*config.robot_can));
+  return inputs;
 }
 
 LinkStatus link_status(const LinkInput& input) {
@@ -69,7 +71,7 @@ Daemon::Daemon(Config config, std::optional<model::Calibration> calibration, Log
           [this](const PoseEstimate& pose) { calibrator_->on_settled(pose); }),
       known_(std::move(calibration)) {
   for (std::size_t node = 0; node < config_.nodes.size(); ++node) add_node(node);
-  add_robot();
+  add_robots();
   if (config_.last_pose) last_pose_ = std::make_unique<LastPoseFile>(*config_.last_pose, log_);
 }
 
@@ -92,18 +94,23 @@ void Daemon::add_node(std::size_t node) {
   inputs_.push_back(std::make_unique<LinkInput>(loop_, std::move(setup)));
 }
 
-void Daemon::add_robot() {
-  LinkInput::Setup setup;
-  std::tie(setup.name, setup.open) = robot_input(config_);
-  setup.on_bytes = [this](std::span<const std::uint8_t> bytes, double now_s) {
-    arrival_s_ = now_s;
-    pipeline_.robot_bytes(bytes, now_s);
-  };
-  setup.on_opened = [this](bool again) {
-    if (again) pipeline_.robot_reopened();
-  };
-  setup.log = log_;
-  inputs_.push_back(std::make_unique<LinkInput>(loop_, std::move(setup)));
+void Daemon::add_robots() {
+  std::size_t robot = 0;
+  for (auto& [name, open] : robot_inputs(config_)) {
+    LinkInput::Setup setup;
+    setup.name = std::move(name);
+    setup.open = std::move(open);
+    setup.on_bytes = [this, robot](std::span<const std::uint8_t> bytes, double now_s) {
+      arrival_s_ = now_s;
+      pipeline_.robot_bytes(bytes, now_s, robot);
+    };
+    setup.on_opened = [this, robot](bool again) {
+      if (again) pipeline_.robot_reopened(robot);
+    };
+    setup.log = log_;
+    inputs_.push_back(std::make_unique<LinkInput>(loop_, std::move(setup)));
+    ++robot;
+  }
 }
 
 link::LinkError Daemon::open() {
@@ -203,7 +210,7 @@ void Daemon::adopt(model::Calibration calibration) {
 }
 
 void Daemon::publish(const PoseEstimate& pose) {
-  const std::string line = pose_line(pose, pipeline_.frame(), filter::model_name(config_.model));
+  const std::string_view line = pose_writer_.line(pose, pipeline_.frame(), filter::model_name(config_.model));
   for (const auto& output : outputs_) output->on_pose(pose, line);
   pose_latency_.observe((loop_.now_s() - arrival_s_) / config_.speed);
   if (last_pose_ && pose.state == filter::State::kTracking) last_pose_->take(pose, loop_.now_s());
@@ -220,7 +227,8 @@ void Daemon::publish_status() {
 Status Daemon::status() const {
   Status status = pipeline_.status(loop_.now_s());
   if (calibrator_->solving()) status.state = "CALIBRATING";
-  status.robot = link_status(*inputs_.back());
+  for (std::size_t i = config_.nodes.size(); i < inputs_.size(); ++i)
+    status.robots.push_back(link_status(*inputs_[i]));
   for (std::size_t node = 0; node < config_.nodes.size(); ++node) {
     LinkStatus link = link_status(*inputs_.at(node));
     link.round_trip_s = status.links.at(node).round_trip_s;

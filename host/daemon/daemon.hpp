@@ -55,7 +55,7 @@ class Daemon {
 
  private:
   void add_node(std::size_t node);
-  void add_robot();
+  void add_robots();
   [[nodiscard]] link::LinkError open_servers();
   void tick();
   void take_signal(int signal_fd, const ServiceManager& manager);
@@ -77,7 +77,7 @@ class Daemon {
   Log log_;
   EventLoop loop_;
   Pipeline pipeline_;
-  std::vector<std::unique_ptr<LinkInput>> inputs_;  // the nodes in their order, then the robot
+  std::vector<std::unique_ptr<LinkInput>> inputs_;  // the nodes in their order, then the robot's
   std::vector<std::unique_ptr<Output>> outputs_;
   PoseServer* pose_server_ = nullptr;  // one of them
   std::unique_ptr<WebServer> web_server_;
@@ -85,6 +85,7 @@ class Daemon {
   std::optional<model::Calibration> known_;   // of the file, until open()
   std::optional<SiteCalibrator> calibrator_;  // from open() on
   std::unique_ptr<LastPoseFile> last_pose_;
+  PoseWriter pose_writer_;
   double arrival_s_ = 0.0;  // of what the pipeline is taking
   LatencyHistogram pose_latency_;
   std::string metrics_;

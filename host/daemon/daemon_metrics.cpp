@@ -72,7 +72,7 @@ void add_session(Text& text, const Session& session, std::uint64_t implausible) 
           counters.robot_clock_set);
   add_one(text, "groma_waiting_overflows_total", "Measurements passed on before their wait was over.",
           counters.waiting_overflows);
-  const RobotInputCounters& robot = session.robot_counters();
+  const RobotInputCounters robot = session.robot_counters();
   add_each(text, "groma_robot_lines_total", "Valid lines of the robot.", "class",
            {{"ODOMETRY", robot.odometry}, {"POSE_PRIOR", robot.pose_priors}, {"sensor", robot.sensors}});
   add_each(text, "groma_robot_lines_dropped_total", "Lines of the robot that were dropped, by the reason.",

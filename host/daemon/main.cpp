@@ -1,11 +1,13 @@
 // gromad: reads the tags' serial ports and the robot's odometry, and serves poses.
 #include <fmt/format.h>
 #include <sys/signalfd.h>
+#include <unistd.h>
 
 #include <csignal>
 #include <cstdio>
 #include <exception>
 #include <filesystem>
+#include <functional>
 #include <optional>
 #include <string>
 #include <string_view>
@@ -16,6 +18,7 @@
 
 #include "host/daemon/config.hpp"
 #include "host/daemon/daemon.hpp"
+#include "host/daemon/log_output.hpp"
 #include "host/daemon/memory_lock.hpp"
 #include "host/daemon/reload.hpp"
 #include "host/daemon/service_manager.hpp"
@@ -29,8 +32,7 @@
 namespace groma::daemon {
 namespace {
 
-void log(std::string_view text) {
-  // One call for each line, so that lines of several threads do not mix.
+void print(std::string_view text) {
   fmt::print(stderr, "gromad: {}\n", text);
 }
 
@@ -49,6 +51,47 @@ int check(const std::filesystem::path& path) {
   const std::vector<std::string> problems = check_config(path);
   for (const std::string& problem : problems) fmt::print(stderr, "{}\n", problem);
   return problems.empty() ? io::kGood : io::kBadConfiguration;
+}
+
+// Logs an error, and returns its exit code.
+int guarded(const Daemon::Log& log, const std::function<int()>& action) {
+  try {
+    return action();
+  } catch (const io::DataError& error) {
+    log(error.what());
+    return io::kBadData;
+  } catch (const io::ConfigError& error) {
+    log(error.what());
+    return io::kBadConfiguration;
+  } catch (const io::PermissionError& error) {
+    log(error.what());
+    return io::kNoPermission;
+  } catch (const io::PathError& error) {
+    log(error.what());
+    return io::kBadConfiguration;
+  } catch (const std::exception& error) {
+    log(error.what());
+    return io::kUnavailable;
+  }
+}
+
+int serve(const std::filesystem::path& path, int signal_fd, const Daemon::Log& log) {
+  if (!std::filesystem::exists(path)) {
+    throw io::ConfigError({path}, "does not exist", "give the daemon's configuration file");
+  }
+  Config config = read_config(path);
+  std::optional<model::Calibration> calibration = load_calibration(config.calibration);
+  if (config.calibration.output) io::expect_writable(*config.calibration.output);
+
+  Daemon daemon(std::move(config), std::move(calibration), log);
+  if (const link::LinkError error = daemon.open(); error.fault != link::LinkFault::kNone) {
+    log(error.message);
+    return error.fault == link::LinkFault::kPermission ? io::kNoPermission : io::kUnavailable;
+  }
+  ServiceManager manager;
+  if (!daemon.run(signal_fd, manager)) return io::kBadData;
+  log("stopped");
+  return io::kGood;
 }
 
 int run(int argc, char** argv) {
@@ -71,44 +114,12 @@ int run(int argc, char** argv) {
   if (only_check) return check(path);
 
   const io::Descriptor signal_fd = signals();
-  if (const std::string warning = lock_memory(); !warning.empty()) log(warning);
-  if (!std::filesystem::exists(path)) {
-    throw io::ConfigError({path}, "does not exist", "give the daemon's configuration file");
-  }
-  Config config = read_config(path);
-  std::optional<model::Calibration> calibration = load_calibration(config.calibration);
-  if (config.calibration.output) io::expect_writable(*config.calibration.output);
-
-  Daemon daemon(std::move(config), std::move(calibration), log);
-  if (const link::LinkError error = daemon.open(); error.fault != link::LinkFault::kNone) {
-    log(error.message);
-    return error.fault == link::LinkFault::kPermission ? io::kNoPermission : io::kUnavailable;
-  }
-  ServiceManager manager;
-  if (!daemon.run(signal_fd.get(), manager)) return io::kBadData;
-  log("stopped");
-  return io::kGood;
-}
-
-int guarded_run(int argc, char** argv) {
-  try {
-    return run(argc, argv);
-  } catch (const io::DataError& error) {
-    log(error.what());
-    return io::kBadData;
-  } catch (const io::ConfigError& error) {
-    log(error.what());
-    return io::kBadConfiguration;
-  } catch (const io::PermissionError& error) {
-    log(error.what());
-    return io::kNoPermission;
-  } catch (const io::PathError& error) {
-    log(error.what());
-    return io::kBadConfiguration;
-  } catch (const std::exception& error) {
-    log(error.what());
-    return io::kUnavailable;
-  }
+  // Before there are threads: it locks whole stacks.
+  const std::string warning = lock_memory();
+  LogOutput output(STDERR_FILENO);
+  const auto log = [&output](std::string_view text) { output.write(text); };
+  if (!warning.empty()) log(warning);
+  return guarded(log, [&] { return serve(path, signal_fd.get(), log); });
 }
 
 }  // namespace
@@ -116,5 +127,6 @@ int guarded_run(int argc, char** argv) {
 
 int main(int argc, char** argv) {
   std::signal(SIGPIPE, SIG_IGN);
-  return groma::daemon::guarded_run(argc, argv);
+  using namespace groma::daemon;
+  return guarded(print, [&] { return run(argc, argv); });
 }

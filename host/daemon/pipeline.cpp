@@ -24,9 +24,9 @@ void Pipeline::node_bytes(std::size_t node, std::span<const std::uint8_t> bytes,
 }
 
 // The pose first; then the filter's work on the measurements that have waited.
-void Pipeline::robot_bytes(std::span<const std::uint8_t> bytes, double now_s) {
+void Pipeline::robot_bytes(std::span<const std::uint8_t> bytes, double now_s, std::size_t robot) {
   now_s_ = now_s;
-  session_.robot_bytes(bytes, now_s);
+  session_.robot_bytes(bytes, now_s, robot);
   session_.advance(now_s);
 }
 

@@ -33,12 +33,12 @@ class Pipeline {
   Pipeline& operator=(const Pipeline&) = delete;
 
   // Bytes that arrived at now_s (host time), which never decreases in any of the calls. Poses come before the
-  // calls return, and without the heap.
+  // calls return, and without the heap. `robot` is one of the robot's links, from 0.
   void node_bytes(std::size_t node, std::span<const std::uint8_t> bytes, double now_s);
-  void robot_bytes(std::span<const std::uint8_t> bytes, double now_s);
+  void robot_bytes(std::span<const std::uint8_t> bytes, double now_s, std::size_t robot = 0);
   // After a link was opened again.
   void node_reopened(std::size_t node) { session_.node_reopened(node); }
-  void robot_reopened() { session_.robot_reopened(); }
+  void robot_reopened(std::size_t robot = 0) { session_.robot_reopened(robot); }
   // Passes on the measurements that have waited for long enough; to be called each few ms.
   void advance(double now_s);
   // Passes on all of them, at the end.

@@ -1,6 +1,7 @@
 #include "host/daemon/pose_message.hpp"
 
 #include <array>
+#include <cmath>
 #include <limits>
 
 #include <nlohmann/json.hpp>
@@ -18,25 +19,25 @@ std::string line(const Json& object) {
   return object.dump(-1, ' ', false, Json::error_handler_t::replace) + "\n";
 }
 
-// 6 x 6, row by row. nlohmann writes non-finite numbers as null.
-Json terms(const Eigen::Matrix<double, 6, 6>& covariance) {
-  Json out = Json::array();
-  for (Eigen::Index row = 0; row < 6; ++row) {
-    for (Eigen::Index column = 0; column < 6; ++column) out.push_back(covariance(row, column));
-  }
-  return out;
-}
-
-// Odometry does not measure vz, the roll rate and the pitch rate: they are unknown.
-Json twist(const PoseEstimate& pose) {
+// Of vx, vy, vz and the rates about x, y, z. Odometry does not measure vz, the roll rate and the pitch rate:
+// they are unknown.
+Eigen::Matrix<double, 6, 6> twist_covariance(const PoseEstimate& pose) {
   constexpr std::array<Eigen::Index, 3> kPlanar{0, 1, 5};
   Eigen::Matrix<double, 6, 6> covariance =
       Eigen::Matrix<double, 6, 6>::Constant(std::numeric_limits<double>::quiet_NaN());
   covariance(kPlanar, kPlanar) = pose.velocity_covariance;
-  return {{"vx_mps", pose.velocity.x()},
-          {"vy_mps", pose.velocity.y()},
-          {"omega_radps", pose.velocity.z()},
-          {"covariance", terms(covariance)}};
+  return covariance;
+}
+
+// As nlohmann writes numbers, but without the heap.
+void append(std::string& out, double number) {
+  if (!std::isfinite(number)) {
+    out += "null";
+    return;
+  }
+  std::array<char, 64> digits{};
+  const char* const end = nlohmann::detail::to_chars(digits.data(), digits.data() + digits.size(), number);
+  out.append(digits.data(), static_cast<std::size_t>(end - digits.data()));
 }
 
 Json state_of(const LinkStatus& link) {
@@ -61,27 +62,83 @@ std::string version_line() {
       {{"class", "VERSION"}, {"program", "gromad"}, {"version", io::program_version()}, {"protocol", 1}});
 }
 
+std::string_view PoseWriter::Quoted::operator()(std::string_view text) {
+  if (text == text_) return json_;
+  text_ = text;
+  json_ = Json(text).dump(-1, ' ', false, Json::error_handler_t::replace);
+  return json_;
+}
+
+void PoseWriter::key(std::string_view name) {
+  line_ += line_.back() == '{' ? "\"" : ",\"";
+  line_ += name;
+  line_ += "\":";
+}
+
+void PoseWriter::put(std::string_view name, double number) {
+  key(name);
+  append(line_, number);
+}
+
+void PoseWriter::put(std::string_view name, std::string_view json) {
+  key(name);
+  line_ += json;
+}
+
+// Row by row.
+template <typename Terms>
+void PoseWriter::put_terms(std::string_view name, const Terms& terms) {
+  key(name);
+  for (Eigen::Index row = 0; row < terms.rows(); ++row) {
+    for (Eigen::Index column = 0; column < terms.cols(); ++column) {
+      line_ += row + column == 0 ? '[' : ',';
+      append(line_, terms(row, column));
+    }
+  }
+  line_ += ']';
+}
+
+std::string_view PoseWriter::line(const PoseEstimate& pose, std::string_view frame, std::string_view model) {
+  // These words need no escapes.
+  const auto put_word = [this](std::string_view name, std::string_view word) {
+    key(name);
+    line_ += '"';
+    line_ += word;
+    line_ += '"';
+  };
+  line_ = "{";
+  put_word("class", "POSE");
+  put("t_s", pose.t_s);
+  put("frame", frame_(frame));
+  put("model", model_(model));
+  put_word("state", filter::state_name(pose.state));
+  if (const std::string_view reason = filter::reason_name(pose.reason); !reason.empty()) {
+    put_word("reason", reason);
+  } else {
+    put("reason", "null");
+  }
+  put("x_m", pose.x_m);
+  put("y_m", pose.y_m);
+  put("z_m", pose.z_m);
+  put("roll_rad", pose.roll_rad);
+  put("pitch_rad", pose.pitch_rad);
+  put("yaw_rad", pose.yaw_rad);
+  put_terms("covariance", pose.covariance);
+  put_terms("quaternion", pose.quaternion);
+  put_word("child_frame", "base_link");
+  put("twist", "{");
+  put("vx_mps", pose.velocity.x());
+  put("vy_mps", pose.velocity.y());
+  put("omega_radps", pose.velocity.z());
+  put_terms("covariance", twist_covariance(pose));
+  line_ += '}';
+  if (!pose.floor.empty()) put("floor", floor_(pose.floor));
+  line_ += "}\n";
+  return line_;
+}
+
 std::string pose_line(const PoseEstimate& pose, std::string_view frame, std::string_view model) {
-  const std::string_view reason = filter::reason_name(pose.reason);
-  Json object = {
-      {"class", "POSE"},
-      {"t_s", pose.t_s},
-      {"frame", frame},
-      {"model", model},
-      {"state", filter::state_name(pose.state)},
-      {"reason", reason.empty() ? Json(nullptr) : Json(reason)},
-      {"x_m", pose.x_m},
-      {"y_m", pose.y_m},
-      {"z_m", pose.z_m},
-      {"roll_rad", pose.roll_rad},
-      {"pitch_rad", pose.pitch_rad},
-      {"yaw_rad", pose.yaw_rad},
-      {"covariance", terms(pose.covariance)},
-      {"quaternion", {pose.quaternion.x(), pose.quaternion.y(), pose.quaternion.z(), pose.quaternion.w()}},
-      {"child_frame", "base_link"},
-      {"twist", twist(pose)}};
-  if (!pose.floor.empty()) object["floor"] = pose.floor;
-  return line(object);
+  return std::string(PoseWriter().line(pose, frame, model));
 }
 
 std::string calibration_line(model::Verdict verdict, std::span<const AnchorProgress> anchors) {
@@ -105,15 +162,19 @@ std::string status_line(const Status& status) {
     object["round_trip_s"] = link.round_trip_s ? Json(*link.round_trip_s) : Json(nullptr);
     links.push_back(std::move(object));
   }
-  return line({{"class", "STATUS"},
-               {"state", status.state},
-               {"odometry", status.odometry},
-               {"ranges", status.ranges},
-               {"frames_lost", status.frames_lost},
-               {"dropped", status.dropped},
-               {"links", std::move(links)},
-               {"robot", state_of(status.robot)},
-               {"diagnosis", diagnosis::to_json(status.diagnosis)}});
+  Json robots = Json::array();
+  for (const LinkStatus& link : status.robots) robots.push_back(state_of(link));
+  Json object{{"class", "STATUS"},
+              {"state", status.state},
+              {"odometry", status.odometry},
+              {"ranges", status.ranges},
+              {"frames_lost", status.frames_lost},
+              {"dropped", status.dropped},
+              {"links", std::move(links)},
+              {"robot", robots.empty() ? Json(nullptr) : robots.front()},
+              {"diagnosis", diagnosis::to_json(status.diagnosis)}};
+  if (robots.size() > 1) object["robots"] = std::move(robots);
+  return line(object);
 }
 
 }  // namespace groma::daemon

@@ -1,6 +1,7 @@
 // The lines of the pose stream: one JSON object each, ended by a line feed.
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 #include <optional>
 #include <span>
@@ -30,9 +31,9 @@ struct Status {
   std::uint64_t odometry = 0;
   std::uint64_t ranges = 0;
   std::uint64_t frames_lost = 0;
-  std::uint64_t dropped = 0;        // measurements and lines, for any cause
-  std::vector<LinkStatus> links{};  // of the nodes
-  LinkStatus robot{};
+  std::uint64_t dropped = 0;         // measurements and lines, for any cause
+  std::vector<LinkStatus> links{};   // of the nodes
+  std::vector<LinkStatus> robots{};  // the robot's links
   std::vector<diagnosis::Finding> diagnosis{};
 };
 
@@ -43,13 +44,48 @@ struct Status {
 // "covariance","quaternion","child_frame","twist"}: the covariance is 6 x 6, row by row, of x, y, z, roll,
 // pitch, yaw; that of the twist of vx, vy, vz and the rates about x, y, z. null is unknown. "floor" follows
 // if the surface has several.
+class PoseWriter {
+ public:
+  PoseWriter() { line_.reserve(kReserved); }
+
+  // Valid until the next call. Needs no heap while frame, model and floor stay the same.
+  [[nodiscard]] std::string_view line(const PoseEstimate& pose, std::string_view frame,
+                                      std::string_view model);
+
+ private:
+  // More than a line has with short names: 83 numbers of at most 24 characters, and the keys.
+  static constexpr std::size_t kReserved = 4096;
+
+  // A text as JSON, escaped when it changes.
+  class Quoted {
+   public:
+    [[nodiscard]] std::string_view operator()(std::string_view text);
+
+   private:
+    std::string text_;
+    std::string json_ = "\"\"";
+  };
+
+  void key(std::string_view name);
+  void put(std::string_view name, double number);
+  void put(std::string_view name, std::string_view json);
+  template <typename Terms>
+  void put_terms(std::string_view name, const Terms& terms);
+
+  std::string line_;
+  Quoted frame_;
+  Quoted model_;
+  Quoted floor_;
+};
+// The same line, on the heap.
 [[nodiscard]] std::string pose_line(const PoseEstimate& pose, std::string_view frame, std::string_view model);
 
 // {"class":"CALIBRATION","verdict","anchors":[{"id","state","coverage","verdict","advice","ranges_used",
 // "sigma_m"}]}: the progress of calibration while driving.
 [[nodiscard]] std::string calibration_line(model::Verdict verdict, std::span<const AnchorProgress> anchors);
 
-// {"class":"STATUS","state",...}
+// {"class":"STATUS","state",...}. "robot" is the first of the robot's links; if there are several, "robots"
+// has all.
 [[nodiscard]] std::string status_line(const Status& status);
 
 }  // namespace groma::daemon

@@ -134,6 +134,16 @@ constexpr std::array<MessageClass, 6> kClasses{{
 
 }  // namespace
 
+RobotInputCounters& RobotInputCounters::operator+=(const RobotInputCounters& other) noexcept {
+  odometry += other.odometry;
+  pose_priors += other.pose_priors;
+  sensors += other.sensors;
+  torn += other.torn;
+  unknown_class += other.unknown_class;
+  bad_value += other.bad_value;
+  return *this;
+}
+
 RobotInput::RobotInput() {
   waiting_.reserve(kMaxLine + kReadSize);
 }

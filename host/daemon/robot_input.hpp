@@ -38,6 +38,7 @@ struct RobotInputCounters {
   std::uint64_t bad_value = 0;      // a number is missing, not a number, not finite or not plausible
 
   [[nodiscard]] std::uint64_t dropped() const noexcept { return torn + unknown_class + bad_value; }
+  RobotInputCounters& operator+=(const RobotInputCounters& other) noexcept;
 };
 
 class RobotInput {

@@ -78,16 +78,17 @@ void Session::node_bytes(std::size_t node, std::span<const std::uint8_t> bytes, 
   entry.decoder_.take(bytes, now_s, entry);
 }
 
-void Session::robot_bytes(std::span<const std::uint8_t> bytes, double now_s) {
+void Session::robot_bytes(std::span<const std::uint8_t> bytes, double now_s, std::size_t robot) {
   now_s_ = now_s;
-  robot_.push(bytes);
-  while (const auto message = robot_.next()) {
+  RobotInput& input = robot_input(robot);
+  input.push(bytes);
+  while (const auto message = input.next()) {
     std::visit([&](const auto& sample) { take(sample, now_s); }, *message);
   }
   // Only the 1st, 2nd, 4th, 8th ... dropped line is reported, so that a faulty sender does not fill the log.
-  const std::uint64_t dropped = robot_.counters().dropped();
+  const std::uint64_t dropped = robot_counters().dropped();
   if (std::bit_width(dropped) != std::bit_width(robot_lines_dropped_)) {
-    say(fmt::format("robot: {} lines dropped so far; the last: {}", dropped, robot_.last_problem()));
+    say(fmt::format("robot: {} lines dropped so far; the last: {}", dropped, input.last_problem()));
   }
   robot_lines_dropped_ = dropped;
 }
@@ -96,8 +97,19 @@ void Session::node_reopened(std::size_t node) {
   nodes_.at(node).decoder_.link_reopened();
 }
 
-void Session::robot_reopened() {
-  robot_.reset();
+void Session::robot_reopened(std::size_t robot) {
+  robot_input(robot).reset();
+}
+
+RobotInputCounters Session::robot_counters() const noexcept {
+  RobotInputCounters sum;
+  for (const RobotInput& input : robots_) sum += input.counters();
+  return sum;
+}
+
+RobotInput& Session::robot_input(std::size_t robot) {
+  while (robots_.size() <= robot) robots_.emplace_back();
+  return robots_[robot];
 }
 
 void Session::advance(double now_s) {

@@ -113,13 +113,14 @@ class Session {
   void attach(MeasurementSink& sink);
   void detach(MeasurementSink& sink);
 
-  // Bytes that arrived at now_s (host time), which never decreases.
+  // Bytes that arrived at now_s (host time), which never decreases. `robot` is one of the robot's links, from
+  // 0: lines of several do not mix.
   void node_bytes(std::size_t node, std::span<const std::uint8_t> bytes, double now_s);
-  void robot_bytes(std::span<const std::uint8_t> bytes, double now_s);
+  void robot_bytes(std::span<const std::uint8_t> bytes, double now_s, std::size_t robot = 0);
 
   // After a link was reopened.
   void node_reopened(std::size_t node);
-  void robot_reopened();
+  void robot_reopened(std::size_t robot = 0);
 
   // Passes on the measurements that have waited for reorder_lag_s.
   void advance(double now_s);
@@ -140,7 +141,7 @@ class Session {
 
   [[nodiscard]] std::size_t node_count() const noexcept { return nodes_.size(); }
   [[nodiscard]] const Node& node(std::size_t index) const { return nodes_.at(index); }
-  [[nodiscard]] const RobotInputCounters& robot_counters() const noexcept { return robot_.counters(); }
+  [[nodiscard]] RobotInputCounters robot_counters() const noexcept;  // of all links
   [[nodiscard]] const SessionCounters& counters() const noexcept { return counters_; }
   // Reports lost in nodes and links together.
   [[nodiscard]] std::uint64_t frames_lost() const noexcept;
@@ -165,6 +166,7 @@ class Session {
     std::optional<double> offset_s;  // of the last message that fell back
   };
 
+  [[nodiscard]] RobotInput& robot_input(std::size_t robot);
   void take(const model::OdometrySample& odometry, double now_s);
   void take(const model::PoseSample& pose, double now_s);
   void take(const model::SensorSample& sample, double now_s);
@@ -190,7 +192,7 @@ class Session {
 
   SessionConfig config_;
   std::deque<Node> nodes_;
-  RobotInput robot_;
+  std::deque<RobotInput> robots_;
   std::uint64_t robot_lines_dropped_ = 0;  // as of the last check
   RobotClock robot_clock_;
   OdometryMerger merger_;

@@ -40,6 +40,7 @@ class YamlValue {
   [[nodiscard]] std::vector<double> numbers(std::size_t size) const;  // a list of `size` finite numbers
 
   [[nodiscard]] bool is_null() const { return node_.IsNull(); }
+  [[nodiscard]] bool is_scalar() const { return node_.IsScalar(); }
   [[nodiscard]] bool is_map() const { return node_.IsMap(); }
   [[nodiscard]] std::string text() const;
   [[nodiscard]] double number() const;           // finite

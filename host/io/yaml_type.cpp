@@ -16,12 +16,6 @@ namespace {
 constexpr std::array<std::string_view, 2> kSwitch{"false", "true"};
 constexpr std::string_view kVariantKey = "type";
 
-YamlValue::Keys names_of(const std::vector<YamlKey>& keys) {
-  YamlValue::Keys names;
-  for (const YamlKey& key : keys) (key.required ? names.required : names.optional).emplace_back(key.name);
-  return names;
-}
-
 std::vector<std::string_view> views_of(const std::vector<std::string>& words) {
   return {words.begin(), words.end()};
 }
@@ -92,18 +86,20 @@ YamlType YamlType::list(YamlType entries) {
   return type;
 }
 
-YamlType YamlType::map(std::vector<YamlKey> keys, std::vector<std::vector<std::string>> choices) {
+YamlType YamlType::map(std::vector<YamlKey> keys, std::vector<std::vector<std::string>> choices,
+                       bool combines) {
   YamlType type;
   type.kind = Kind::kMap;
   type.keys = std::move(keys);
   type.choices = std::move(choices);
+  type.combines = combines;
   return type;
 }
 
-YamlType YamlType::text_or_map(std::vector<YamlKey> keys) {
+YamlType YamlType::text_or(YamlType other) {
   YamlType type;
-  type.kind = Kind::kTextOrMap;
-  type.of.push_back(map(std::move(keys)));
+  type.kind = Kind::kTextOr;
+  type.of.push_back(std::move(other));
   return type;
 }
 
@@ -120,6 +116,12 @@ std::vector<ConfigError> YamlType::errors_of(const YamlValue& value) const {
   return errors;
 }
 
+std::vector<ConfigError> YamlType::key_errors_of(const YamlValue& value) const {
+  YamlValue::Keys names;
+  for (const YamlKey& key : keys) (key.required ? names.required : names.optional).emplace_back(key.name);
+  return value.key_errors(names);
+}
+
 void YamlType::expect(const YamlValue& value) const {
   if (const std::vector<ConfigError> errors = errors_of(value); !errors.empty())
     throw ConfigError(errors.front());
@@ -130,9 +132,8 @@ void YamlType::check(const YamlValue& value, std::vector<ConfigError>& errors) c
     switch (kind) {
       case Kind::kMap:
         return check_map(value, errors);
-      case Kind::kTextOrMap:
-        if (value.is_map()) return of.front().check(value, errors);
-        static_cast<void>(value.text());
+      case Kind::kTextOr:
+        if (!value.is_scalar()) of.front().check(value, errors);
         return;
       case Kind::kVariant:
         return check_variant(value, errors);
@@ -166,7 +167,7 @@ void YamlType::check_scalar(const YamlValue& value) const {
 }
 
 void YamlType::check_map(const YamlValue& value, std::vector<ConfigError>& errors) const {
-  std::vector<ConfigError> own = value.key_errors(names_of(keys));
+  std::vector<ConfigError> own = key_errors_of(value);
   errors.insert(errors.end(), own.begin(), own.end());
   for (const YamlKey& key : keys) {
     if (const std::optional<YamlValue> child = value.find(key.name)) key.type.check(*child, errors);
@@ -216,7 +217,7 @@ nlohmann::ordered_json YamlType::schema() const {
       out["minItems"] = size;
       out["maxItems"] = size;
       return out;
-    case Kind::kTextOrMap:
+    case Kind::kTextOr:
       out["anyOf"] = {text().schema(), of.front().schema()};
       return out;
     case Kind::kVariant:
@@ -227,7 +228,8 @@ nlohmann::ordered_json YamlType::schema() const {
   }
   out["type"] = "object";
   out["additionalProperties"] = false;
-  for (const std::vector<std::string>& names : choices) out["oneOf"].push_back({{"required", names}});
+  for (const std::vector<std::string>& names : choices)
+    out[combines ? "anyOf" : "oneOf"].push_back({{"required", names}});
   for (const YamlKey& key : keys) {
     if (key.required) out["required"].push_back(key.name);
     Json& property = out["properties"][key.name] = key.type.schema();

@@ -20,14 +20,14 @@ struct YamlKey;
 struct YamlType {
   enum class Kind {
     kText,
-    kWord,       // one of `words`
-    kSwitch,     // true or false
-    kNumber,     // finite, from `min` to `max`; without `with_min`: above `min`
-    kInteger,    // from `min` to `max`
-    kMap,        // with `keys`; with all keys of exactly one of `choices`, if there are any
-    kTextOrMap,  // a text, or the map `of.front()`
-    kVariant,    // one of the maps `of`: each has the key `type`, which takes a single word
-    kList,       // of `of.front()`; `size` entries, 0: any number
+    kWord,     // one of `words`
+    kSwitch,   // true or false
+    kNumber,   // finite, from `min` to `max`; without `with_min`: above `min`
+    kInteger,  // from `min` to `max`
+    kMap,      // with `keys`; with all keys of one of `choices`, if there are any
+    kTextOr,   // a text, or `of.front()`
+    kVariant,  // one of the maps `of`: each has the key `type`, which takes a single word
+    kList,     // of `of.front()`; `size` entries, 0: any number
   };
 
   Kind kind = Kind::kText;
@@ -39,6 +39,7 @@ struct YamlType {
   std::vector<YamlKey> keys;
   std::vector<YamlType> of;
   std::vector<std::vector<std::string>> choices;  // optional keys, for the schema; the parser checks them
+  bool combines = false;                          // several of `choices` may be given
 
   [[nodiscard]] static YamlType text();
   [[nodiscard]] static YamlType word(std::vector<std::string> words);
@@ -50,13 +51,16 @@ struct YamlType {
   [[nodiscard]] static YamlType numbers(std::size_t size);
   [[nodiscard]] static YamlType list(YamlType entries);
   [[nodiscard]] static YamlType map(std::vector<YamlKey> keys,
-                                    std::vector<std::vector<std::string>> choices = {});
-  [[nodiscard]] static YamlType text_or_map(std::vector<YamlKey> keys);
+                                    std::vector<std::vector<std::string>> choices = {},
+                                    bool combines = false);
+  [[nodiscard]] static YamlType text_or(YamlType other);
   [[nodiscard]] static YamlType variant(std::vector<YamlType> maps);
 
   // All errors of the value, in the order of the keys. It may still violate rules that no type states.
   [[nodiscard]] std::vector<ConfigError> errors_of(const YamlValue& value) const;
-  // Throws the first of them.
+  // Those of the keys alone, for a map: unknown, repeated, missing.
+  [[nodiscard]] std::vector<ConfigError> key_errors_of(const YamlValue& value) const;
+  // Throws the first of errors_of().
   void expect(const YamlValue& value) const;
   // As JSON Schema, draft 7.
   [[nodiscard]] nlohmann::ordered_json schema() const;

@@ -185,6 +185,12 @@ class GromadOnCan : public ::testing::Test {
     std::memcpy(frame.data + 4, &omega, sizeof(omega));
     bus.send_raw(frame);
     ++odometry_sent_;
+    // Beside it by the socket, with this computer's time, once gromad knows the time of the odometry.
+    constexpr std::uint64_t kKnown = 20;
+    if (odometry_sent_ < kKnown) return;
+    const std::chrono::duration<double> now = std::chrono::system_clock::now().time_since_epoch();
+    robot_.give(
+        fmt::format("{{\"class\":\"IMU\",\"t_s\":{},\"omega_radps\":{}}}\n", now.count(), 1e-6 * omega));
   }
 
   void replay(const std::string& scheme, const std::string& name) {
@@ -244,7 +250,7 @@ TEST_F(GromadOnCan, LosesNoRangeOfThreeTagsInFdFrames) {
   EXPECT_EQ(dropped_late_, 0U);
 }
 
-TEST_F(GromadOnCan, LosesNothingWithOdometryOnTheSameBus) {
+TEST_F(GromadOnCan, LosesNothingWithOdometryOnTheSameBusAndAnImuBySocket) {
   odometry_over_can_ = true;
   folder_.write("robot.dbc", R"(BO_ 257 Drive: 8 Base
  SG_ Speed : 0|16@1- (0.0005,0) [-16|16] "m/s" Robot
@@ -255,8 +261,9 @@ TEST_F(GromadOnCan, LosesNothingWithOdometryOnTheSameBus) {
   const link::ReportCounters expected = recorded("classic.log");
   Gromad gromad({"--config", config("can",
                                     "robot: {can: bus0, dbc: robot.dbc, signals: {vx_mps: Drive.Speed, "
-                                    "vy_mps: Drive.Side, omega_radps: Drive.Rate}}\n")});
-  ASSERT_TRUE(listen_until(gromad, [&] { return client_.has_value(); })) << gromad.log();
+                                    "vy_mps: Drive.Side, omega_radps: Drive.Rate}}\n"
+                                    "robot_socket: robot.sock\n")});
+  ASSERT_TRUE(listen_until(gromad, [&] { return client_ && robot_.clients() == 1; })) << gromad.log();
   play(log, gromad);
   const std::uint64_t all = expected.ranges + expected.ranges_not_ok;
   const auto has_all = [&] {
@@ -267,8 +274,11 @@ TEST_F(GromadOnCan, LosesNothingWithOdometryOnTheSameBus) {
   EXPECT_GT(odometry_sent_, 100U);
   EXPECT_EQ(status_.value("odometry", 0U), odometry_sent_);
   EXPECT_EQ(status_.value("frames_lost", 1U), 0U);
-  EXPECT_EQ(status_.at("robot").at("can").at("frames"), odometry_sent_);
-  EXPECT_EQ(status_.at("robot").at("can").at("frames_overrun"), 0);
+  EXPECT_EQ(status_.value("dropped", 0U), expected.ranges_not_ok);
+  const json& robots = status_.at("robots");
+  EXPECT_EQ(robots[0].at("open"), true);
+  EXPECT_EQ(robots[1].at("can").at("frames"), odometry_sent_);
+  EXPECT_EQ(robots[1].at("can").at("frames_overrun"), 0);
   gromad.terminate();
   EXPECT_EQ(gromad.exit_code(), io::kGood);
 }

@@ -79,7 +79,7 @@ class CircleDrive {
 
   std::vector<model::Anchor> anchors;
 
- private:
+  // The bytes of one time since the begin.
   static std::vector<std::uint8_t> odometry(double t_s, bool with_prior) {
     std::string lines =
         fmt::format("{{\"class\":\"ODOMETRY\",\"t_s\":{},\"vx_mps\":{},\"vy_mps\":0,\"omega_radps\":{}}}\n",
@@ -92,19 +92,24 @@ class CircleDrive {
     return {lines.begin(), lines.end()};
   }
 
-  [[nodiscard]] std::vector<std::uint8_t> report(double t_s, int number) const {
+  // Of a tag `ahead_m` in front of base_link, with a counter of its own.
+  [[nodiscard]] std::vector<std::uint8_t> report(double t_s, int number, std::uint32_t tag_id = 1,
+                                                 double ahead_m = 0.0) const {
     const auto ticks = [](double s) { return std::llround(s * clock::kDeviceTicksPerSecond); };
     std::vector<groma_Range> ranges;
     for (std::size_t i = 0; i < anchors.size(); ++i) {
       const double age_s = 0.08 - 0.002 * static_cast<double>(i);
       const Point at = truth(kRobotOrigin_s + t_s - age_s);
-      const double range_m = (Eigen::Vector3d(at.x_m, at.y_m, kTagHeight_m) - anchors[i].position_m).norm();
+      const Eigen::Vector3d tag(at.x_m + ahead_m * std::cos(at.yaw_rad),
+                                at.y_m + ahead_m * std::sin(at.yaw_rad), kTagHeight_m);
+      const double range_m = (tag - anchors[i].position_m).norm();
       // A deterministic ripple of 3 cm instead of noise.
       const double ripple_m = 0.03 * std::sin(1.7 * number + 2.3 * static_cast<double>(i));
       ranges.push_back(link::test::make_range(anchors[i].id, range_m + ripple_m, ticks(-age_s)));
     }
-    return link::test::frame_of(link::test::make_report(
-        static_cast<std::uint32_t>(number), 1, static_cast<std::uint64_t>(ticks(77.0 + t_s)), ranges));
+    return link::test::frame_of(
+        link::test::make_report(static_cast<std::uint32_t>(number), tag_id,
+                                static_cast<std::uint64_t>(ticks(1000.0 * tag_id - 923.0 + t_s)), ranges));
   }
 };
 

@@ -80,11 +80,12 @@ bool has_all(const json& value, const json& keys) {
 }
 
 bool allows_members(const json& schema, const json& value) {
-  if (schema.contains("oneOf")) {
-    const json& choices = schema["oneOf"];
-    if (std::count_if(choices.begin(), choices.end(),
-                      [&](const json& one) { return has_all(value, one.at("required")); }) != 1)
-      return false;
+  for (const char* const kind : {"oneOf", "anyOf"}) {
+    if (!schema.contains(kind)) continue;
+    const json& choices = schema[kind];
+    const auto given = std::count_if(choices.begin(), choices.end(),
+                                     [&](const json& one) { return has_all(value, one.at("required")); });
+    if (given == 0 || (given > 1 && schema.contains("oneOf"))) return false;
   }
   if (!has_all(value, schema.value("required", json::array()))) return false;
   for (const auto& [key, member] : value.items()) {
@@ -95,7 +96,7 @@ bool allows_members(const json& schema, const json& value) {
 
 // The part of JSON Schema that the configuration's schema uses.
 bool allows(const json& schema, const json& value) {
-  if (schema.contains("anyOf")) {
+  if (schema.contains("anyOf") && !schema.contains("type")) {
     const json& any = schema["anyOf"];
     return std::any_of(any.begin(), any.end(), [&](const json& one) { return allows(one, value); });
   }
@@ -168,7 +169,7 @@ TEST_F(ConfigSchema, AndParserRefuseTheSameTypesAndBounds) {
       {"speed: 4", "spede: 4"},
       {"speed: 4", "speed: 0"},
       {"robot_socket: robot.sock\n", ""},
-      {"robot_socket: robot.sock\n", "robot_socket: robot.sock\nrobot: {listen: robot.sock}\n"},
+      {"robot_socket: robot.sock\n", "robot: {listen: {}}\n"},
       {"robot_socket: robot.sock\n", "robot: {}\n"},
       {"robot_socket: robot.sock\n", "robot: {can: can0, signals: {vx_mps: A.B, omega_radps: A.C}}\n"},
       {"robot_socket: robot.sock\n", "robot: {can: can0, dbc: a.dbc, signals: {vx_mps: A.B}}\n"},
@@ -201,7 +202,9 @@ TEST_F(ConfigSchema, AllowsTheOtherSurfaces) {
 TEST_F(ConfigSchema, AllowsTheOtherRobots) {
   const std::string socket = "robot_socket: robot.sock\n";
   for (const std::string robot :
-       {"robot: {listen: tcp://127.0.0.1:4723}\n", "robot_socket: tcp://127.0.0.1:4723\n"}) {
+       {"robot: {listen: tcp://127.0.0.1:4723}\n", "robot_socket: tcp://127.0.0.1:4723\n",
+        "robot: {listen: ['tcp://127.0.0.1:4723', 'udp://127.0.0.1:4723']}\n",
+        "robot_socket: robot.sock\nrobot: {listen: other.sock}\n"}) {
     EXPECT_TRUE(schema_allows(with(socket, robot))) << robot;
     EXPECT_TRUE(problems_of(with(socket, robot)).empty()) << robot;
   }

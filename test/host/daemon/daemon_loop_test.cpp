@@ -1,140 +1,25 @@
 // The daemon in this process, on an injected clock: its links are Unix sockets, which the test fills.
+#include <arpa/inet.h>
+#include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <netinet/in.h>
 #include <sys/socket.h>
-#include <sys/un.h>
 
-#include <algorithm>
+#include <cstddef>
 #include <cstdint>
-#include <filesystem>
-#include <map>
-#include <memory>
-#include <sstream>
 #include <stdexcept>
 #include <string>
-#include <utility>
 #include <vector>
 
+#include <nlohmann/json.hpp>
+
 #include "host/daemon/daemon.hpp"
-#include "test/host/daemon/circle_drive.hpp"
-#include "test/host/daemon/prometheus_parser.hpp"
-#include "test/host/daemon/tcp_client.hpp"
-#include "test/host/daemon/temporary_folder.hpp"
+#include "host/io/descriptor.hpp"
+#include "test/host/daemon/daemon_loop_fixture.hpp"
 
 namespace groma::daemon {
 namespace {
-
-using groma::test::TemporaryFolder;
-using test::CircleDrive;
-using test::Labels;
-using test::TcpClient;
-using ::testing::HasSubstr;
-using ::testing::StartsWith;
-
-// The other side of a link.
-class Peer {
- public:
-  explicit Peer(const std::filesystem::path& path)
-      : listener_(::socket(AF_UNIX, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0)) {
-    sockaddr_un address{};
-    address.sun_family = AF_UNIX;
-    path.string().copy(address.sun_path, sizeof(address.sun_path) - 1);
-    if (::bind(listener_.get(), reinterpret_cast<const sockaddr*>(&address), sizeof(address)) != 0 ||
-        ::listen(listener_.get(), 4) != 0) {
-      throw std::runtime_error(path.string());
-    }
-  }
-  void accept() { peer_ = io::Descriptor(::accept4(listener_.get(), nullptr, nullptr, SOCK_CLOEXEC)); }
-  void send(const std::vector<std::uint8_t>& bytes) const {
-    ASSERT_EQ(::send(peer_.get(), bytes.data(), bytes.size(), MSG_NOSIGNAL | MSG_DONTWAIT),
-              static_cast<ssize_t>(bytes.size()));
-  }
-  void hang_up() { peer_.close(); }
-
- private:
-  io::Descriptor listener_;
-  io::Descriptor peer_;
-};
-
-class DaemonLoop : public ::testing::Test {
- protected:
-  DaemonLoop() {
-    config_.nodes[0].path = folder_ / "tag-1";
-    config_.robot_socket = folder_ / "robot.sock";
-    config_.web = Endpoint{.address = "127.0.0.1", .port = 0};
-  }
-
-  void start() {
-    log_.clear();
-    now_s_ = CircleDrive::kBegin_s;
-    daemon_ = std::make_unique<Daemon>(
-        config_, drive_.surveyed(), [this](std::string_view text) { log_ += std::string(text) + "\n"; },
-        [this] { return now_s_; });
-    const link::LinkError error = daemon_->open();
-    if (error.fault != link::LinkFault::kNone) throw std::runtime_error(error.message);
-    tag_.accept();
-    robot_.accept();
-    daemon_->poll();
-  }
-  // Gives the daemon the part of the drive up to that time; after each arrival calls `then`.
-  template <typename Then>
-  void run(double duration_s, Then then) {
-    for (const CircleDrive::Arrival& arrival : drive_.arrivals(duration_s)) {
-      if (arrival.host_s <= now_s_) continue;
-      now_s_ = arrival.host_s;
-      (arrival.robot ? robot_ : tag_).send(arrival.bytes);
-      daemon_->poll();
-      then(arrival);
-    }
-  }
-  // The port that the log names.
-  [[nodiscard]] std::uint16_t port(const std::string& of) const {
-    const std::string key = of + " on 127.0.0.1 port ";
-    return static_cast<std::uint16_t>(std::stoi(log_.substr(log_.find(key) + key.size())));
-  }
-  std::string get(const std::string& path) {
-    TcpClient client(port("web server"));
-    EXPECT_TRUE(client.send("GET " + path + " HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n"));
-    std::string text;
-    for (int i = 0; i < 1000 && !client.ended(); ++i) {
-      daemon_->poll();
-      text += client.receive();
-    }
-    return text;
-  }
-  std::map<std::string, test::MetricFamily> metrics() {
-    now_s_ += 0.2;  // /metrics may be 0.1 s old
-    const std::string answer = get("/metrics");
-    EXPECT_THAT(answer, StartsWith("HTTP/1.1 200 "));
-    EXPECT_THAT(answer, HasSubstr("\r\nContent-Type: text/plain; version=0.0.4; charset=utf-8\r\n"));
-    return test::PrometheusParser::parse(answer.substr(answer.find("\r\n\r\n") + 4));
-  }
-  static double value(const std::map<std::string, test::MetricFamily>& of, const std::string& name,
-                      const Labels& labels = {}) {
-    return of.at(name).samples.at(name).at(labels);
-  }
-
-  static std::string poses_of(const std::string& stream) {
-    std::string poses;
-    std::istringstream lines(stream);
-    for (std::string line; std::getline(lines, line);) {
-      if (line.starts_with("{\"class\":\"POSE\"")) poses += line + "\n";
-    }
-    return poses;
-  }
-  static std::size_t lines_of(const std::string& text) {
-    return static_cast<std::size_t>(std::count(text.begin(), text.end(), '\n'));
-  }
-
-  TemporaryFolder folder_;
-  CircleDrive drive_;
-  Config config_ = drive_.config();
-  Peer tag_{folder_ / "tag-1"};
-  Peer robot_{folder_ / "robot.sock"};
-  double now_s_ = 0.0;
-  std::string log_;
-  std::unique_ptr<Daemon> daemon_;
-};
 
 // Two runs at the same times of the injected clock give the same lines, however long they take.
 TEST_F(DaemonLoop, RepeatsItselfOnAnInjectedClock) {
@@ -229,6 +114,82 @@ TEST_F(DaemonLoop, ServesItsCounters) {
 
   EXPECT_THAT(get("/"), StartsWith("HTTP/1.1 404 "));
   EXPECT_THAT(get("/live"), StartsWith("HTTP/1.1 404 "));
+}
+
+// A port that is free now.
+std::uint16_t free_port(int type) {
+  const io::Descriptor fd(::socket(AF_INET, type | SOCK_CLOEXEC, 0));
+  sockaddr_in address{};
+  address.sin_family = AF_INET;
+  address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+  socklen_t size = sizeof(address);
+  if (::bind(fd.get(), reinterpret_cast<const sockaddr*>(&address), size) != 0 ||
+      ::getsockname(fd.get(), reinterpret_cast<sockaddr*>(&address), &size) != 0) {
+    throw std::runtime_error("no free port");
+  }
+  return ntohs(address.sin_port);
+}
+
+class Datagrams {
+ public:
+  explicit Datagrams(std::uint16_t port) : fd_(::socket(AF_INET, SOCK_DGRAM | SOCK_CLOEXEC, 0)) {
+    sockaddr_in address{};
+    address.sin_family = AF_INET;
+    address.sin_port = htons(port);
+    address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+    if (::connect(fd_.get(), reinterpret_cast<const sockaddr*>(&address), sizeof(address)) != 0)
+      throw std::runtime_error("connect");
+  }
+  void send(const std::string& text) const {
+    ASSERT_EQ(::send(fd_.get(), text.data(), text.size(), MSG_NOSIGNAL), static_cast<ssize_t>(text.size()));
+  }
+
+ private:
+  io::Descriptor fd_;
+};
+
+// Odometry comes from the robot's socket in two parts, and between them other lines by UDP and TCP.
+TEST_F(DaemonLoop, ReadsSeveralLinksOfTheRobotAtOnce) {
+  const std::uint16_t imu_port = free_port(SOCK_DGRAM);
+  const std::uint16_t gnss_port = free_port(SOCK_STREAM);
+  config_.robot_listen = {fmt::format("udp://127.0.0.1:{}", imu_port),
+                          fmt::format("tcp://127.0.0.1:{}", gnss_port)};
+  start();
+  const Datagrams imu(imu_port);
+  const TcpClient gnss(gnss_port);
+  TcpClient client(port("pose stream"));
+  std::string stream;
+  constexpr int kSamples = 300;
+  for (int i = 0; i < kSamples; ++i) {
+    const double t_s = 0.01 * i;
+    const auto at = CircleDrive::truth(CircleDrive::kRobotOrigin_s + t_s);
+    now_s_ = CircleDrive::kBegin_s + t_s + 0.001;
+    const std::vector<std::uint8_t> line = CircleDrive::odometry(t_s, i == 0);
+    const auto middle = line.begin() + static_cast<std::ptrdiff_t>(line.size() / 2);
+    robot_.send({line.begin(), middle});
+    daemon_->poll();
+    imu.send(fmt::format("{{\"class\":\"IMU\",\"t_s\":{},\"omega_radps\":{}}}\n",
+                         CircleDrive::kRobotOrigin_s + t_s, CircleDrive::kOmega_radps));
+    EXPECT_TRUE(gnss.send(
+        fmt::format("{{\"class\":\"GNSS\",\"t_s\":{},\"x_m\":{},\"y_m\":{},\"covariance\":[1,0,0,1]}}\n",
+                    CircleDrive::kRobotOrigin_s + t_s, at.x_m, at.y_m)));
+    daemon_->poll();
+    robot_.send({middle, line.end()});
+    daemon_->poll();
+    stream += client.receive();
+  }
+  const auto all = metrics();
+  EXPECT_EQ(value(all, "groma_robot_lines_total", {{"class", "ODOMETRY"}}), kSamples);
+  EXPECT_EQ(value(all, "groma_robot_lines_total", {{"class", "sensor"}}), 2.0 * kSamples);
+  for (const std::string reason : {"torn", "unknown_class", "bad_value"})
+    EXPECT_EQ(value(all, "groma_robot_lines_dropped_total", {{"reason", reason}}), 0.0) << reason;
+  EXPECT_GT(lines_of(poses_of(stream)), kSamples - 50U);
+  const std::size_t status = stream.rfind(R"({"class":"STATUS")");
+  ASSERT_NE(status, std::string::npos);
+  const auto object = nlohmann::json::parse(stream.substr(status, stream.find('\n', status) - status));
+  ASSERT_EQ(object.at("robots").size(), 3U);
+  for (const auto& robot : object.at("robots")) EXPECT_EQ(robot.at("open"), true) << robot;
+  EXPECT_EQ(object.at("robot").at("link"), (folder_ / "robot.sock").string());
 }
 
 TEST_F(DaemonLoop, HasNoWebServerUnlessConfigured) {

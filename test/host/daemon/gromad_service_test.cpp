@@ -22,6 +22,7 @@ namespace groma::daemon {
 namespace {
 
 using ::testing::HasSubstr;
+using ::testing::Not;
 
 TEST_F(GromadTest, ReloadsOnHangUpAndRefusesTheWholeOnAnError) {
   SimulatedSite site(folder_.path(), kSpeed);
@@ -45,6 +46,30 @@ TEST_F(GromadTest, ReloadsOnHangUpAndRefusesTheWholeOnAnError) {
   EXPECT_LT(largest_error_m(50), 0.3);
   gromad.terminate();
   EXPECT_EQ(gromad.exit_code(), io::kGood) << gromad.log();
+}
+
+TEST_F(GromadTest, GivesPosesAndEndsWhileNobodyReadsItsLog) {
+  SimulatedSite site(folder_.path(), kSpeed);
+  write_surveyed(site);
+  Gromad gromad({"--config", folder_.write("gromad.yaml", config_text("{file: calibration.yaml}")).string()});
+  ASSERT_TRUE(run_until(site, gromad, [&] { return poses("TRACKING") >= 100; })) << gromad.log();
+  const std::size_t logged = gromad.log().size();
+  gromad.fill_log();
+  site.send_to_robot_socket("a line that is logged\n");
+  const std::size_t before = poses("TRACKING");
+  const auto deadline = std::chrono::steady_clock::now() + kPatience;
+  while (poses("TRACKING") < before + 100 && std::chrono::steady_clock::now() < deadline) {
+    site.step();
+    for (json& object : client_->read()) objects_.push_back(std::move(object));
+    std::this_thread::sleep_for(std::chrono::milliseconds(2));
+  }
+  EXPECT_GE(poses("TRACKING"), before + 100);
+  gromad.terminate();
+  while (gromad.running() && std::chrono::steady_clock::now() < deadline)
+    std::this_thread::sleep_for(std::chrono::milliseconds(2));
+  EXPECT_FALSE(gromad.running());
+  EXPECT_EQ(gromad.exit_code(), io::kGood);
+  EXPECT_THAT(gromad.log().substr(logged), Not(HasSubstr("a line that is logged")));
 }
 
 TEST_F(GromadTest, ReportsToSystemd) {

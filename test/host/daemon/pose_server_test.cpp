@@ -210,7 +210,7 @@ TEST(StatusMessage, HasTheStateOfEachLink) {
   status.links.push_back(
       {.link = "can:can0/1", .round_trip_s = 0.001, .can = link::CanCounters{.bus_off = 2}});
   status.links.push_back({.link = "/dev/ttyACM0", .error = "no such device"});
-  status.robot = {.link = "robot.sock"};
+  status.robots = {{.link = "robot.sock"}};
   const json object = json::parse(status_line(status));
   const json& can = object.at("links")[0];
   EXPECT_EQ(can.at("link"), "can:can0/1");
@@ -224,7 +224,14 @@ TEST(StatusMessage, HasTheStateOfEachLink) {
   EXPECT_EQ(serial.at("error"), "no such device");
   EXPECT_TRUE(serial.at("round_trip_s").is_null());
   EXPECT_FALSE(serial.contains("can"));
-  EXPECT_EQ(object.at("robot"), json({{"link", "robot.sock"}, {"open", true}, {"error", nullptr}}));
+  const json socket{{"link", "robot.sock"}, {"open", true}, {"error", nullptr}};
+  EXPECT_EQ(object.at("robot"), socket);
+  EXPECT_FALSE(object.contains("robots"));
+  status.robots.push_back({.link = "udp://127.0.0.1:4723"});
+  const json both = json::parse(status_line(status));
+  EXPECT_EQ(both.at("robot"), socket);
+  EXPECT_EQ(both.at("robots")[0], socket);
+  EXPECT_EQ(both.at("robots")[1].at("link"), "udp://127.0.0.1:4723");
 }
 
 }  // namespace

@@ -72,7 +72,7 @@ TEST_F(ReloadTest, CheckReportsAllErrorsAtTheirPlacesWithTheKeysAllowed) {
   write(text + "speed: fast\n");
   EXPECT_THAT(
       check_config(file_),
-      ElementsAre(HasSubstr(at(1, 1) + "must have either 'robot_socket' or 'robot'"),
+      ElementsAre(HasSubstr(at(1, 1) + "has neither 'robot_socket' nor 'robot'"),
                   testing::AllOf(HasSubstr(at(4, 1) + "unknown key 'robot_scket'"), HasSubstr("pose_stream")),
                   HasSubstr(at(6, 5) + "tags[0] lacks the key lever_arm_m"),
                   HasSubstr(at(6, 10) + "tags[0].id is 99999"),

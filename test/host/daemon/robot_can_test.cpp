@@ -179,8 +179,19 @@ TEST_F(RobotCan, NamesThePlaceOfEachMistake) {
   const std::string good = "{vx_mps: Drive.Speed, omega_radps: Imu.RateZ}";
   EXPECT_THAT(error_with(good, "speed: 2"),
               HasSubstr(":12:8: speed cannot be combined with odometry over CAN"));
-  EXPECT_THAT(error_with(good, "robot_socket: robot.sock"), HasSubstr("either 'robot_socket' or 'robot'"));
   EXPECT_EQ(error_with(good), "no error");
+}
+
+TEST_F(RobotCan, MayComeBesideJsonLines) {
+  const Config config =
+      read(kOneMessage, "  listen: [robot.sock, 'udp://127.0.0.1:4723']\nrobot_socket: other.sock\n");
+  EXPECT_EQ(config.robot_can->interface, "can0");
+  EXPECT_THAT(config.robot_listen, testing::ElementsAre(folder_ / "robot.sock", "udp://127.0.0.1:4723"));
+  EXPECT_EQ(config.robot_socket, folder_ / "other.sock");
+  EXPECT_THAT(error_with(kOneMessage, "  listen: [a, a]\n"), HasSubstr("robot.listen[1] is given twice"));
+  EXPECT_THAT(error_with(kOneMessage, "  listen: []\n"), HasSubstr("robot.listen is empty"));
+  EXPECT_THAT(error_with(kOneMessage, "  listen: ['udp://host:4723']\n"),
+              HasSubstr("robot.listen[0] is not a numeric address"));
 }
 
 TEST_F(RobotCan, NamesItsInterfaceInErrors) {

@@ -3,10 +3,12 @@
 
 #include <arpa/inet.h>
 #include <netinet/in.h>
+#include <poll.h>
 #include <sys/socket.h>
 #include <unistd.h>
 
 #include <cerrno>
+#include <chrono>
 #include <cstdint>
 #include <stdexcept>
 #include <string>
@@ -47,6 +49,12 @@ class TcpClient {
     }
     ended_ = ended_ || n == 0 || errno == ECONNRESET;
     return text;
+  }
+  // The same, after waiting for it at most that long.
+  std::string await(std::chrono::milliseconds patience) {
+    pollfd ready{fd_.get(), POLLIN, 0};
+    ::poll(&ready, 1, static_cast<int>(patience.count()));
+    return receive();
   }
   // The other side has ended the connection.
   [[nodiscard]] bool ended() const { return ended_; }
