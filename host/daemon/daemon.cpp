@@ -113,8 +113,13 @@ link::LinkError Daemon::open() {
   }
   if (config_.log) {
     recorder_ = std::make_unique<LogRecorder>(*config_.log, config_.description());
-    pipeline_.session().attach(*recorder_);
-    log_(fmt::format("recording into {}", config_.log->string()));
+    if (const auto failure = recorder_->take_failure()) {
+      log_(*failure);
+      recorder_.reset();
+    } else {
+      pipeline_.session().attach(*recorder_);
+      log_(fmt::format("recording into {}", config_.log->string()));
+    }
   }
   calibrator_.emplace(config_, std::exchange(known_, std::nullopt), pipeline_.session(), log_);
   const auto call = [this](double period_s, void (Daemon::*action)()) {
@@ -151,9 +156,8 @@ bool Daemon::run(int signal_fd, ServiceManager& manager) {
   if (calibrator_->failed()) return false;
   manager.stopping();
   pipeline_.flush();
-  const bool usable = calibrator_->finish();
   if (last_pose_) last_pose_->finish();
-  return usable;
+  return calibrator_->finish();
 }
 
 void Daemon::take_signal(int signal_fd, const ServiceManager& manager) {
@@ -188,7 +192,7 @@ void Daemon::tick() {
   arrival_s_ = loop_.now_s();
   pipeline_.advance(arrival_s_);
   record();
-  if (auto calibration = calibrator_->service()) adopt(*std::move(calibration));
+  if (auto calibration = calibrator_->service(arrival_s_)) adopt(*std::move(calibration));
   if (calibrator_->failed()) loop_.stop();
 }
 

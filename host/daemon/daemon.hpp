@@ -46,7 +46,7 @@ class Daemon {
 
   // Serves until signal_fd, a signalfd(2), delivers a signal other than SIGHUP, which reloads. Then uses and
   // writes what was measured so far. False: the drive gave no usable calibration. Throws as io::write_file()
-  // does if the calibration cannot be written.
+  // does if the calibration cannot be written at the end.
   [[nodiscard]] bool run(int signal_fd, ServiceManager& manager);
   // Serves what is ready and due, without waiting: for a caller with a clock of its own.
   void poll() { loop_.poll(); }

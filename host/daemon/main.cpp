@@ -115,6 +115,8 @@ int guarded_run(int argc, char** argv) {
 }  // namespace groma::daemon
 
 int main(int argc, char** argv) {
+  // A file size limit or a closed pipe then makes the write fail, which is reported.
+  std::signal(SIGXFSZ, SIG_IGN);
   std::signal(SIGPIPE, SIG_IGN);
   return groma::daemon::guarded_run(argc, argv);
 }
