@@ -215,6 +215,7 @@ void Daemon::publish(const PoseEstimate& pose) {
 
 void Daemon::publish_status() {
   pipeline_.log_faults();
+  pose_server_->log_events(log_);
   publish_line(status_line(status()));
   if (const AnchorLearner* learner = calibrator_->learner()) {
     publish_line(calibration_line(learner->live().verdict, learner->progress()));

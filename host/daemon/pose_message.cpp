@@ -61,6 +61,10 @@ std::string version_line() {
       {{"class", "VERSION"}, {"program", "gromad"}, {"version", io::program_version()}, {"protocol", 1}});
 }
 
+std::string refused_line() {
+  return line({{"class", "REFUSED"}, {"reason", "as many other clients as are permitted read the stream"}});
+}
+
 std::string pose_line(const PoseEstimate& pose, std::string_view frame, std::string_view model) {
   const std::string_view reason = filter::reason_name(pose.reason);
   Json object = {

@@ -78,7 +78,9 @@ void TcpListener::accept() {
   for (int i = 0; i < kAcceptsPerTurn; ++i) {
     io::Descriptor client(::accept4(listener_.get(), nullptr, nullptr, SOCK_NONBLOCK | SOCK_CLOEXEC));
     if (!client.valid()) {
-      if (lacks_resources(errno)) watch_.reset();
+      if (!lacks_resources(errno)) return;
+      ++pauses_;
+      watch_.reset();
       return;
     }
     const int on = 1;
