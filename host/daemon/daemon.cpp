@@ -4,6 +4,7 @@
 #include <sys/signalfd.h>
 #include <unistd.h>
 
+#include <chrono>
 #include <csignal>
 #include <filesystem>
 #include <system_error>
@@ -11,7 +12,6 @@
 #include <utility>
 
 #include "groma.pb.h"
-#include "host/daemon/reload.hpp"
 #include "host/daemon/robot_can.hpp"
 #include "host/link/line_listener.hpp"
 #include "host/link/report_decoder.hpp"
@@ -151,6 +151,7 @@ bool Daemon::run(int signal_fd, ServiceManager& manager) {
   tick();
   manager.ready();
   const EventLoop::Timer watchdog(loop_, 0.0, [&manager] { manager.alive(); });
+  const EventLoop::Timer reloads(loop_, 0.0, [this, &manager] { finish_reload(manager); });
   const EventLoop::Watch signals(loop_, signal_fd, [&] { take_signal(signal_fd, manager); });
   loop_.run();
   if (calibrator_->failed()) return false;
@@ -165,12 +166,26 @@ void Daemon::take_signal(int signal_fd, const ServiceManager& manager) {
   if (::read(signal_fd, &info, sizeof(info)) != sizeof(info)) return;
   if (info.ssi_signo != SIGHUP) return loop_.stop();
   manager.reloading();
-  reload();
+  start_reload();
+}
+
+void Daemon::start_reload() {
+  // The files may have changed since they were read.
+  reload_again_ = reloading_.valid();
+  if (reload_again_) return;
+  reloading_ = std::async(std::launch::async,
+                          [this, frame = pipeline_.frame()] { return prepare_reload(config_, frame); });
+}
+
+void Daemon::finish_reload(const ServiceManager& manager) {
+  if (!reloading_.valid() || reloading_.wait_for(std::chrono::seconds(0)) != std::future_status::ready)
+    return;
+  reload(reloading_.get());
+  if (reload_again_) return start_reload();
   manager.ready();
 }
 
-void Daemon::reload() {
-  Reload next = prepare_reload(config_, pipeline_.frame());
+void Daemon::reload(Reload next) {
   for (const std::string& problem : next.problems) log_(problem);
   if (!next.problems.empty()) {
     log_("nothing was reloaded");
