@@ -77,7 +77,11 @@ int run(int argc, char** argv) {
   }
   Config config = read_config(path);
   std::optional<model::Calibration> calibration = load_calibration(config.calibration);
-  if (config.calibration.output) io::expect_writable(*config.calibration.output);
+  if (config.calibration.output) {
+    io::expect_writable(*config.calibration.output);
+    io::remove_remains(*config.calibration.output);
+  }
+  if (config.last_pose) io::remove_remains(*config.last_pose);
 
   Daemon daemon(std::move(config), std::move(calibration), log);
   if (const link::LinkError error = daemon.open(); error.fault != link::LinkFault::kNone) {
