@@ -4,13 +4,13 @@
 #include <sys/signalfd.h>
 #include <unistd.h>
 
+#include <chrono>
 #include <csignal>
 #include <filesystem>
 #include <system_error>
 #include <utility>
 
 #include "groma.pb.h"
-#include "host/daemon/reload.hpp"
 #include "host/daemon/robot_can.hpp"
 #include "host/link/line_listener.hpp"
 #include "host/link/report_decoder.hpp"
@@ -120,8 +120,13 @@ link::LinkError Daemon::open() {
   }
   if (config_.log) {
     recorder_ = std::make_unique<LogRecorder>(*config_.log, config_.description());
-    pipeline_.session().attach(*recorder_);
-    log_(fmt::format("recording into {}", config_.log->string()));
+    if (const auto failure = recorder_->take_failure()) {
+      log_(*failure);
+      recorder_.reset();
+    } else {
+      pipeline_.session().attach(*recorder_);
+      log_(fmt::format("recording into {}", config_.log->string()));
+    }
   }
   calibrator_.emplace(config_, std::exchange(known_, std::nullopt), pipeline_.session(), log_);
   const auto call = [this](double period_s, void (Daemon::*action)()) {
@@ -153,14 +158,14 @@ bool Daemon::run(int signal_fd, ServiceManager& manager) {
   tick();
   manager.ready();
   const EventLoop::Timer watchdog(loop_, 0.0, [&manager] { manager.alive(); });
+  const EventLoop::Timer reloads(loop_, 0.0, [this, &manager] { finish_reload(manager); });
   const EventLoop::Watch signals(loop_, signal_fd, [&] { take_signal(signal_fd, manager); });
   loop_.run();
   if (calibrator_->failed()) return false;
   manager.stopping();
   pipeline_.flush();
-  const bool usable = calibrator_->finish();
   if (last_pose_) last_pose_->finish();
-  return usable;
+  return calibrator_->finish();
 }
 
 void Daemon::take_signal(int signal_fd, const ServiceManager& manager) {
@@ -168,12 +173,26 @@ void Daemon::take_signal(int signal_fd, const ServiceManager& manager) {
   if (::read(signal_fd, &info, sizeof(info)) != sizeof(info)) return;
   if (info.ssi_signo != SIGHUP) return loop_.stop();
   manager.reloading();
-  reload();
+  start_reload();
+}
+
+void Daemon::start_reload() {
+  // The files may have changed since they were read.
+  reload_again_ = reloading_.valid();
+  if (reload_again_) return;
+  reloading_ = std::async(std::launch::async,
+                          [this, frame = pipeline_.frame()] { return prepare_reload(config_, frame); });
+}
+
+void Daemon::finish_reload(const ServiceManager& manager) {
+  if (!reloading_.valid() || reloading_.wait_for(std::chrono::seconds(0)) != std::future_status::ready)
+    return;
+  reload(reloading_.get());
+  if (reload_again_) return start_reload();
   manager.ready();
 }
 
-void Daemon::reload() {
-  Reload next = prepare_reload(config_, pipeline_.frame());
+void Daemon::reload(Reload next) {
   for (const std::string& problem : next.problems) log_(problem);
   if (!next.problems.empty()) {
     log_("nothing was reloaded");
@@ -195,7 +214,7 @@ void Daemon::tick() {
   arrival_s_ = loop_.now_s();
   pipeline_.advance(arrival_s_);
   record();
-  if (auto calibration = calibrator_->service()) adopt(*std::move(calibration));
+  if (auto calibration = calibrator_->service(arrival_s_)) adopt(*std::move(calibration));
   if (calibrator_->failed()) loop_.stop();
 }
 
@@ -218,6 +237,7 @@ void Daemon::publish(const PoseEstimate& pose) {
 
 void Daemon::publish_status() {
   pipeline_.log_faults();
+  pose_server_->log_events(log_);
   publish_line(status_line(status()));
   if (const AnchorLearner* learner = calibrator_->learner()) {
     publish_line(calibration_line(learner->live().verdict, learner->progress()));

@@ -5,6 +5,7 @@
 
 #include <cstdint>
 #include <functional>
+#include <future>
 #include <memory>
 #include <optional>
 #include <string>
@@ -21,6 +22,7 @@
 #include "host/daemon/pipeline.hpp"
 #include "host/daemon/pose_message.hpp"
 #include "host/daemon/pose_server.hpp"
+#include "host/daemon/reload.hpp"
 #include "host/daemon/service_manager.hpp"
 #include "host/daemon/site_calibrator.hpp"
 #include "host/daemon/web_server.hpp"
@@ -44,9 +46,10 @@ class Daemon {
   // opened as soon as possible. Throws as LogRecorder does if a log is configured.
   [[nodiscard]] link::LinkError open();
 
-  // Serves until signal_fd, a signalfd(2), delivers a signal other than SIGHUP, which reloads. Then uses and
+  // Serves until signal_fd, a signalfd(2), delivers a signal other than SIGHUP, which reloads, in a thread of
+  // its own as far as files are read. Then uses and
   // writes what was measured so far. False: the drive gave no usable calibration. Throws as io::write_file()
-  // does if the calibration cannot be written.
+  // does if the calibration cannot be written at the end.
   [[nodiscard]] bool run(int signal_fd, ServiceManager& manager);
   // Serves what is ready and due, without waiting: for a caller with a clock of its own.
   void poll() { loop_.poll(); }
@@ -59,8 +62,11 @@ class Daemon {
   [[nodiscard]] link::LinkError open_servers();
   void tick();
   void take_signal(int signal_fd, const ServiceManager& manager);
-  // Reads the configuration again, and changes what can be changed, or nothing if there is an error.
-  void reload();
+  // Starts to read the configuration again.
+  void start_reload();
+  // Once it is read: changes what can be changed, or nothing if there is an error.
+  void finish_reload(const ServiceManager& manager);
+  void reload(Reload next);
   void adopt(model::Calibration calibration);
   void publish(const PoseEstimate& pose);
   void publish_status();
@@ -86,6 +92,8 @@ class Daemon {
   std::optional<SiteCalibrator> calibrator_;  // from open() on
   std::unique_ptr<LastPoseFile> last_pose_;
   PoseWriter pose_writer_;
+  std::future<Reload> reloading_;  // reads config_
+  bool reload_again_ = false;
   double arrival_s_ = 0.0;  // of what the pipeline is taking
   LatencyHistogram pose_latency_;
   std::string metrics_;

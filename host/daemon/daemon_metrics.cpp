@@ -123,6 +123,8 @@ void add_nodes(Text& text, const Session& session) {
             [](const Node& of) { return of.counters().messages_malformed; });
   nodes.add("groma_node_reports_total", "Reports of ranges.",
             [](const Node& of) { return of.counters().reports; });
+  nodes.add("groma_node_reports_repeated_total", "Reports that had been received before, and were dropped.",
+            [](const Node& of) { return of.counters().reports_repeated; });
   nodes.add("groma_node_reports_lost_total", "Reports lost in a node's queue or on its link.",
             [](const Node& of) { return of.counters().frames_lost; });
   nodes.add("groma_node_ranges_total", "Valid ranges of a node.",

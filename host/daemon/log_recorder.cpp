@@ -20,6 +20,11 @@ std::string reason(int error) {
   return std::generic_category().message(error);
 }
 
+// Of the disk, a quota or the file.
+bool is_full(int error) {
+  return error == ENOSPC || error == EDQUOT || error == EFBIG;
+}
+
 // 0, or the error.
 int append(int fd, std::string_view bytes) {
   while (!bytes.empty()) {
@@ -40,27 +45,38 @@ std::uint64_t unix_time_ns() {
 
 LogRecorder::LogRecorder(const std::filesystem::path& path, std::vector<io::DescriptionFile> description)
     : path_(path), description_(std::move(description)) {
-  io::expect_writable(path);
-  file_ = io::Descriptor(::open(path.c_str(), O_WRONLY | O_APPEND | O_CREAT | O_CLOEXEC, 0644));
+  if (const int error = begin(); error != 0) {
+    failed_ = true;
+    failure_ = fmt::format("{}: cannot be written ({}); nothing is recorded", path_.string(), reason(error));
+    return;
+  }
+  writer_ = std::thread([this] { write_loop(); });
+}
+
+int LogRecorder::begin() {
+  io::expect_writable(path_);
+  file_ = io::Descriptor(::open(path_.c_str(), O_WRONLY | O_APPEND | O_CREAT | O_CLOEXEC, 0644));
   if (!file_.valid()) {
     const int error = errno;
+    if (is_full(error)) return error;
     if (error == EACCES || error == EPERM || error == EROFS) {
-      throw io::PermissionError({path}, fmt::format("cannot be written ({})", reason(error)),
+      throw io::PermissionError({path_}, fmt::format("cannot be written ({})", reason(error)),
                                 "choose a file that this user may write to");
     }
-    throw io::DeviceError({path}, fmt::format("cannot be written ({})", reason(error)),
+    throw io::DeviceError({path_}, fmt::format("cannot be written ({})", reason(error)),
                           "choose another file for `log`");
   }
   if (::flock(file_.get(), LOCK_EX | LOCK_NB) != 0) {
-    throw io::DeviceError({path}, "another program records into it",
+    throw io::DeviceError({path_}, "another program records into it",
                           "stop it, or choose another file for `log`");
   }
   encoder_.begin_section(description_, unix_time_ns());
-  if (const int error = append(file_.get(), encoder_.take()); error != 0) {
-    throw io::DeviceError({path}, fmt::format("cannot be written ({})", reason(error)),
-                          "make room, or choose another file for `log`");
+  const int error = append(file_.get(), encoder_.take());
+  if (error != 0 && !is_full(error)) {
+    throw io::DeviceError({path_}, fmt::format("cannot be written ({})", reason(error)),
+                          "check the device, or choose another file for `log`");
   }
-  writer_ = std::thread([this] { write_loop(); });
+  return error;
 }
 
 LogRecorder::~LogRecorder() {
@@ -71,7 +87,7 @@ LogRecorder::~LogRecorder() {
     ending_ = true;
   }
   changed_.notify_one();
-  writer_.join();
+  if (writer_.joinable()) writer_.join();
 }
 
 void LogRecorder::on_clock_set() {

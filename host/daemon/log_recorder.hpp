@@ -27,7 +27,8 @@ class LogRecorder : public MeasurementSink {
   static constexpr std::size_t kMaxWaiting = 16'777'216;
 
   // Opens or creates the file for appending and begins a section. Throws io::PathError,
-  // io::PermissionError or io::DeviceError (another gromad records into it, the disk is full).
+  // io::PermissionError or io::DeviceError (another gromad records into it). On a full disk it does not throw
+  // and records nothing: see take_failure().
   LogRecorder(const std::filesystem::path& path, std::vector<io::DescriptionFile> description);
   ~LogRecorder() override;
   LogRecorder(const LogRecorder&) = delete;
@@ -46,6 +47,8 @@ class LogRecorder : public MeasurementSink {
   [[nodiscard]] std::optional<std::string> take_failure();
 
  private:
+  // 0, or the error of a full disk. Throws as the constructor.
+  [[nodiscard]] int begin();
   void hand_over();
   void write_loop();
 

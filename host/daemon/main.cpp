@@ -81,7 +81,11 @@ int serve(const std::filesystem::path& path, int signal_fd, const Daemon::Log& l
   }
   Config config = read_config(path);
   std::optional<model::Calibration> calibration = load_calibration(config.calibration);
-  if (config.calibration.output) io::expect_writable(*config.calibration.output);
+  if (config.calibration.output) {
+    io::expect_writable(*config.calibration.output);
+    io::remove_remains(*config.calibration.output);
+  }
+  if (config.last_pose) io::remove_remains(*config.last_pose);
 
   Daemon daemon(std::move(config), std::move(calibration), log);
   if (const link::LinkError error = daemon.open(); error.fault != link::LinkFault::kNone) {
@@ -126,6 +130,8 @@ int run(int argc, char** argv) {
 }  // namespace groma::daemon
 
 int main(int argc, char** argv) {
+  // A file size limit or a closed pipe then makes the write fail, which is reported.
+  std::signal(SIGXFSZ, SIG_IGN);
   std::signal(SIGPIPE, SIG_IGN);
   using namespace groma::daemon;
   return guarded(print, [&] { return run(argc, argv); });

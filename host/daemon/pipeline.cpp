@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include <bit>
+#include <map>
 
 #include "host/filter/config.hpp"
 
@@ -15,6 +16,7 @@ Pipeline::Pipeline(const Config& config, Log log, Localizer::OnPose on_pose, Loc
       on_settled_(std::move(on_settled)),
       session_({.reorder_lag_s = config.reorder_lag_s, .log = log_}) {
   for (const NodeLink& node : config.nodes) session_.add_node(node.path.string(), node.baud);
+  node_reports_.resize(config.nodes.size());
 }
 
 void Pipeline::node_bytes(std::size_t node, std::span<const std::uint8_t> bytes, double now_s) {
@@ -93,15 +95,36 @@ Status Pipeline::status(double now_s) const {
   }
   for (std::size_t i = 0; i < session_.node_count(); ++i) {
     const link::ReportCounters& node = session_.node(i).decoder().counters();
-    status.dropped +=
-        node.messages_malformed + node.ranges_not_ok + node.ranges_out_of_bounds + node.ranges_bad_instant;
+    status.dropped += node.messages_malformed + node.reports_repeated + node.ranges_not_ok +
+                      node.ranges_out_of_bounds + node.ranges_bad_instant;
     status.links.push_back(
         {.link = session_.node(i).name(), .round_trip_s = session_.node(i).decoder().time().round_trip_s()});
   }
   return status;
 }
 
+void Pipeline::log_duplicate_tag() {
+  std::map<std::uint32_t, std::size_t> node_of;
+  std::optional<std::pair<std::size_t, std::size_t>> duplicate;
+  for (std::size_t node = 0; node < session_.node_count(); ++node) {
+    const link::ReportDecoder& decoder = session_.node(node).decoder();
+    if (std::exchange(node_reports_.at(node), decoder.counters().reports) == decoder.counters().reports)
+      continue;
+    const auto [other, is_first] = node_of.emplace(*decoder.tag_id(), node);
+    if (!is_first) duplicate = std::pair(other->second, node);
+  }
+  duplicate_periods_ = duplicate && duplicate == duplicate_ ? duplicate_periods_ + 1 : 0;
+  duplicate_ = duplicate;
+  // Two tags that swap their ports look alike for a moment.
+  if (duplicate_periods_ != 2) return;
+  const Session::Node& second = session_.node(duplicate->second);
+  log_(fmt::format(
+      "{} and {}: both report tag {}, so that its ranges count twice; remove one of them from `nodes`",
+      session_.node(duplicate->first).name(), second.name(), *second.decoder().tag_id()));
+}
+
 void Pipeline::log_faults() {
+  log_duplicate_tag();
   if (!localizer_) return;
   // At the 1st, 2nd, 4th, 8th ... sample, so that a persistent fault does not fill the log.
   const std::uint64_t implausible = localizer_->implausible();

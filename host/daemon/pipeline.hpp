@@ -11,6 +11,7 @@
 #include <string>
 #include <string_view>
 #include <utility>
+#include <vector>
 
 #include "host/daemon/config.hpp"
 #include "host/daemon/localizer.hpp"
@@ -60,11 +61,12 @@ class Pipeline {
   // ODOMETRY_TIMES_WRONG.
   [[nodiscard]] std::string_view state(double now_s) const;
   [[nodiscard]] Status status(double now_s) const;
-  // Logs findings and implausible samples that are new.
+  // Logs findings, implausible samples and links with the same tag that are new.
   void log_faults();
 
  private:
   void take_pose(const PoseEstimate& pose);
+  void log_duplicate_tag();
 
   const Config& config_;
   Log log_;
@@ -79,6 +81,10 @@ class Pipeline {
   double last_pose_s_ = 0.0;                                            // host time
   std::uint64_t logged_implausible_ = 0;                                // samples
   bool has_finding_ = false;
+  std::vector<std::uint64_t> node_reports_;  // as of the last log_faults()
+  // Two nodes that report one tag, and in how many periods in a row.
+  std::optional<std::pair<std::size_t, std::size_t>> duplicate_;
+  int duplicate_periods_ = 0;
 };
 
 }  // namespace groma::daemon

@@ -62,6 +62,10 @@ std::string version_line() {
       {{"class", "VERSION"}, {"program", "gromad"}, {"version", io::program_version()}, {"protocol", 1}});
 }
 
+std::string refused_line() {
+  return line({{"class", "REFUSED"}, {"reason", "as many other clients as are permitted read the stream"}});
+}
+
 std::string_view PoseWriter::Quoted::operator()(std::string_view text) {
   if (text == text_) return json_;
   text_ = text;

@@ -40,6 +40,9 @@ struct Status {
 // {"class":"VERSION","program":"gromad","version":...,"protocol":1}
 [[nodiscard]] std::string version_line();
 
+// {"class":"REFUSED","reason":...}, the last line to a client for which there is no place.
+[[nodiscard]] std::string refused_line();
+
 // {"class":"POSE","t_s","frame","model","state","reason","x_m","y_m","z_m","roll_rad","pitch_rad","yaw_rad",
 // "covariance","quaternion","child_frame","twist"}: the covariance is 6 x 6, row by row, of x, y, z, roll,
 // pitch, yaw; that of the twist of vx, vy, vz and the rates about x, y, z. null is unknown. "floor" follows

@@ -1,12 +1,32 @@
 #include "host/daemon/pose_server.hpp"
 
+#include <fmt/format.h>
+#include <netinet/in.h>
+#include <netinet/tcp.h>
 #include <sys/socket.h>
 
+#include <algorithm>
 #include <array>
 #include <cerrno>
 #include <utility>
 
+#include "host/daemon/pose_message.hpp"
+
 namespace groma::daemon {
+namespace {
+
+// Bytes that the kernel keeps for a client, so that one that does not read is noticed within seconds; by
+// itself the kernel would keep megabytes.
+constexpr int kSendBuffer = 65'536;
+// A client that acknowledges nothing for this time is gone, without a word.
+constexpr unsigned kAcknowledges_ms = 20'000;
+
+void bound_buffers(int fd) {
+  ::setsockopt(fd, SOL_SOCKET, SO_SNDBUF, &kSendBuffer, sizeof(kSendBuffer));
+  ::setsockopt(fd, IPPROTO_TCP, TCP_USER_TIMEOUT, &kAcknowledges_ms, sizeof(kAcknowledges_ms));
+}
+
+}  // namespace
 
 struct PoseServer::Client {
   Client(PoseServer& server, EventLoop& loop, io::Descriptor socket)
@@ -45,14 +65,40 @@ std::size_t PoseServer::waiting_bytes() const noexcept {
 }
 
 void PoseServer::add(EventLoop& loop, io::Descriptor fd) {
-  if (clients_.size() == kMaxClients) {
+  if (clients_.size() == kMaxClients && !make_place()) {
     ++counters_.refused;
+    const std::string farewell = greeting_ + refused_line();
+    static_cast<void>(::send(fd.get(), farewell.data(), farewell.size(), MSG_NOSIGNAL));
     return;
   }
   ++counters_.accepted;
+  bound_buffers(fd.get());
   clients_.push_back(std::make_unique<Client>(*this, loop, std::move(fd)));
   queue(*clients_.back(), greeting_);
   remove_gone();
+}
+
+bool PoseServer::make_place() {
+  const auto furthest = std::max_element(clients_.begin(), clients_.end(), [](const auto& a, const auto& b) {
+    return a->waiting.size() < b->waiting.size();
+  });
+  if ((*furthest)->waiting.size() < kBehind) return false;
+  drop(**furthest, counters_.too_slow);
+  remove_gone();
+  return true;
+}
+
+void PoseServer::log_events(const std::function<void(std::string_view)>& log) {
+  if (too_slow_.is_due(counters_.too_slow)) {
+    log(fmt::format("pose stream: clients dropped so far because they did not read: {}", counters_.too_slow));
+  }
+  if (refused_.is_due(counters_.refused)) {
+    log(fmt::format("pose stream: clients refused so far because {} others read it: {}", kMaxClients,
+                    counters_.refused));
+  }
+  if (pauses_.is_due(listener_->pauses())) {
+    log("pose stream: no descriptor is free for a client; raise 'ulimit -n', or end other programs");
+  }
 }
 
 void PoseServer::on_line(std::string_view line) {

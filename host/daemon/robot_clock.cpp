@@ -9,8 +9,11 @@ namespace {
 
 // TimeMapper sees the robot's clock as a counter in nanoseconds.
 constexpr double kTicksPerSecond = 1e9;
-// A larger t_s does not fit 64 bits in nanoseconds.
-constexpr double kMaxTime_s = 9e9;
+// Whether t_s fits 64 bits in nanoseconds.
+bool fits(double t_s) noexcept {
+  constexpr double kMaxTime_s = 9e9;
+  return std::abs(t_s) <= kMaxTime_s;
+}
 
 std::int64_t ticks_at(double t_s) noexcept {
   return std::llround(t_s * kTicksPerSecond);
@@ -25,6 +28,20 @@ bool is_unit(double rate) noexcept {
   return power != 0.0 && std::abs(decades - power) < kNear;
 }
 
+// Of a t_s that runs at this rate.
+std::string_view unit_of(double rate) {
+  switch (std::lround(std::log10(rate))) {
+    case 3:
+      return ", as in milliseconds";
+    case 6:
+      return ", as in microseconds";
+    case 9:
+      return ", as in nanoseconds";
+    default:
+      return "";
+  }
+}
+
 }  // namespace
 
 const char* cause_name(TimestampFault::Cause cause) noexcept {
@@ -33,9 +50,13 @@ const char* cause_name(TimestampFault::Cause cause) noexcept {
 
 std::string evidence(const TimestampFault& fault) {
   if (fault.cause == TimestampFault::Cause::kTimeUnit) {
-    return fmt::format("t_s of odometry runs {:.3g} times as fast as this computer's clock", fault.value);
+    return fmt::format("t_s of odometry runs {:.3g} times as fast as this computer's clock{}", fault.value,
+                       unit_of(fault.value));
   }
-  return fmt::format("t_s of odometry was {:.3f} s {} the robot's clock", std::abs(fault.value),
+  const double by_s = std::abs(fault.value);
+  constexpr double kLong_s = 1e6;
+  return fmt::format("t_s of odometry was {} s {} the robot's clock",
+                     by_s < kLong_s ? fmt::format("{:.3f}", by_s) : fmt::format("{:.3g}", by_s),
                      fault.value > 0.0 ? "ahead of" : "behind");
 }
 
@@ -58,9 +79,9 @@ bool RobotClock::suspected() const noexcept {
 }
 
 Timestamp RobotClock::judge(double t_s, double now_s) noexcept {
-  // Also true for NaN.
-  if (!(std::abs(t_s) <= kMaxTime_s)) return Timestamp::kWrong;
+  if (!std::isfinite(t_s)) return Timestamp::kWrong;
   const std::optional<double> expected_s = robot_time_s(now_s);
+  if (!fits(t_s)) return judge_far(t_s, now_s, t_s - expected_s.value_or(0.0));
   if (!expected_s) {
     begin(t_s, now_s);
     return Timestamp::kGood;
@@ -115,7 +136,7 @@ Timestamp RobotClock::judge_far(double t_s, double now_s, double offset_s) noexc
   const double for_s = now_s - far_.since_s;
   if (for_s < config_.set_after_s || far_.samples < kRun) return Timestamp::kWrong;
   const double rate = (t_s - far_.t_s) / for_s;
-  if (rate > 1.0 / kMaxRate && rate < kMaxRate) {
+  if (fits(t_s) && rate > 1.0 / kMaxRate && rate < kMaxRate) {
     fault_ = {TimestampFault::Cause::kClockOffset, offset_s, now_s};
     begin(t_s, now_s);
     return Timestamp::kSet;

@@ -12,6 +12,10 @@ namespace {
 
 // The log reports that all odometry is dropped after this time.
 constexpr double kDropReported_s = 1.0;
+// The period over which the rate of odometry is measured, and the share of passed samples below which they
+// count as merged: a pair of samples that jitters is none.
+constexpr double kRateOver_s = 1.0;
+constexpr double kMergedShare = 0.75;
 // Minimum time between log messages about late odometry.
 constexpr double kLateReported_s = 10.0;
 
@@ -172,11 +176,29 @@ void Session::take(const model::OdometrySample& odometry, double now_s) {
   last_odometry_s_ = odometry.t_s;
   const std::span<const model::OdometrySample> merged = merger_.take(odometry);
   pass_merged(merged);
+  report_fast_odometry(now_s);
 }
 
 void Session::pass_merged(std::span<const model::OdometrySample> samples) {
   for (const model::OdometrySample& sample : samples) enqueue(sample.t_s, sample);
   counters_.odometry_merged = merger_.merged();
+  rate_.passed += samples.size();
+}
+
+void Session::report_fast_odometry(double now_s) {
+  ++rate_.taken;
+  const double period_s = now_s - rate_.since_s;
+  if (period_s < kRateOver_s) return;
+  const bool fast = static_cast<double>(rate_.passed) < kMergedShare * static_cast<double>(rate_.taken);
+  // The first period began before the first sample.
+  if (fast && !fast_reported_ && rate_.since_s > 0.0) {
+    say(fmt::format("robot: odometry comes at {:.0f} Hz and is merged to at most 200 Hz; send 20 to 200 Hz",
+                    static_cast<double>(rate_.taken) / period_s));
+    fast_reported_ = true;
+  } else if (!fast) {
+    fast_reported_ = false;
+  }
+  rate_ = {.since_s = now_s};
 }
 
 // Reports the 1st, 2nd, 4th, 8th ... dropped sample, and once that all are dropped.

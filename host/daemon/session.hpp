@@ -182,6 +182,8 @@ class Session {
   void deliver(const Sample& sample);
   void announce(const Sample& sample);
   void pass_merged(std::span<const model::OdometrySample> samples);
+  // Logs once that odometry is merged, and again only after it was slower.
+  void report_fast_odometry(double now_s);
   void drop_odometry(std::uint64_t& counter, double now_s);
   // Discards the waiting samples and times of the old clock; after a step they are converted to the new one.
   void clock_was_set(double now_s);
@@ -197,6 +199,14 @@ class Session {
   RobotClock robot_clock_;
   OdometryMerger merger_;
   std::optional<double> last_odometry_s_;
+  // Odometry within the present period of report_fast_odometry().
+  struct Rate {
+    double since_s = 0.0;      // host time
+    std::uint64_t taken = 0;   // samples
+    std::uint64_t passed = 0;  // after merging
+  };
+  Rate rate_;
+  bool fast_reported_ = false;
   SensorTimes pose_times_;
   std::array<SensorTimes, std::variant_size_v<model::SensorSample>> sensor_times_{};
   bool times_suspect_ = false;             // as reported to the sinks

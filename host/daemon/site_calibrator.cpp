@@ -6,8 +6,6 @@
 #include <utility>
 
 #include "host/io/calibration_file.hpp"
-#include "host/io/error.hpp"
-#include "host/io/output_file.hpp"
 
 namespace groma::daemon {
 namespace {
@@ -33,7 +31,11 @@ std::string describe(const model::Calibration& calibration) {
 
 SiteCalibrator::SiteCalibrator(const Config& config, std::optional<model::Calibration> known,
                                Session& session, Log log)
-    : config_(config), session_(session), log_(std::move(log)), known_(std::move(known)) {
+    : config_(config),
+      session_(session),
+      log_(std::move(log)),
+      known_(std::move(known)),
+      writer_(config.calibration.output, log_) {
   const model::Calibration earlier = known_.value_or(model::Calibration{});
   // Without anchors there is nothing to localize by.
   if (config.calibration.learn && earlier.anchors.empty()) known_.reset();
@@ -55,7 +57,8 @@ SiteCalibrator::SiteCalibrator(const Config& config, std::optional<model::Calibr
   }
 }
 
-std::optional<model::Calibration> SiteCalibrator::service() {
+std::optional<model::Calibration> SiteCalibrator::service(double now_s) {
+  writer_.service(now_s);
   if (known_) return std::exchange(known_, std::nullopt);
   if (drive_) return service_drive();
   if (learner_) return service_learner();
@@ -77,32 +80,17 @@ std::optional<model::Calibration> SiteCalibrator::service_drive() {
   log_("calibration: " + describe(calibration));
   failed_ = calibration.verdict == model::Verdict::kUnusable;
   if (failed_) return std::nullopt;
-  if (config_.calibration.output) {
-    io::write_file(*config_.calibration.output, io::format_calibration(calibration));
-    log_(fmt::format("calibration written to {}", config_.calibration.output->string()));
-  }
+  writer_.put(calibration);
   return calibration;
 }
 
 std::optional<model::Calibration> SiteCalibrator::service_learner() {
   const bool changed = learner_->service();
   for (const std::string& news : learner_->take_news()) log_(news);
-  to_write_ = to_write_ || (changed && config_.calibration.output);
-  write_learned();
+  if (changed) writer_.put(learner_->live());
   if (!changed || !(in_use_ || learner_->live().anchors.size() >= kMinAnchors)) return std::nullopt;
   in_use_ = true;
   return learner_->live();
-}
-
-void SiteCalibrator::write_learned() {
-  if (writer_.busy()) return;
-  finish_writing();
-  if (!std::exchange(to_write_, false)) return;
-  writer_.start(*config_.calibration.output, io::format_calibration(learner_->live()));
-}
-
-void SiteCalibrator::finish_writing() {
-  if (const auto error = writer_.finish(); error && !error->empty()) log_(*error);
 }
 
 void SiteCalibrator::on_settled(const PoseEstimate& pose) {
@@ -115,26 +103,25 @@ void SiteCalibrator::on_settled(const PoseEstimate& pose) {
 
 bool SiteCalibrator::finish() {
   if (learner_) finish_learning();
-  if (!drive_) return true;
+  if (drive_) finish_drive();
+  writer_.finish();
+  return !failed_;
+}
+
+void SiteCalibrator::finish_drive() {
   if (!solution_.valid()) {
     log_(fmt::format("the calibration drive has ended after {:.0f} of {} s; nothing is calibrated",
                      drive_->duration_s(), config_.calibration.drive_s));
-    return true;
+    return;
   }
   log_("waits for the calibration that is being solved");
   solution_.wait();
   static_cast<void>(service_drive());
-  return !failed_;
 }
 
 void SiteCalibrator::finish_learning() {
-  to_write_ = learner_->finish() || to_write_;
-  to_write_ = to_write_ && config_.calibration.output.has_value();
+  if (learner_->finish()) writer_.put(learner_->live());
   for (const std::string& news : learner_->take_news()) log_(news);
-  // The file that is being written, then the last one.
-  finish_writing();
-  write_learned();
-  finish_writing();
 }
 
 }  // namespace groma::daemon

@@ -13,8 +13,8 @@
 #include "host/calibration/calibrate.hpp"
 #include "host/daemon/anchor_learner.hpp"
 #include "host/daemon/calibration_drive.hpp"
+#include "host/daemon/calibration_writer.hpp"
 #include "host/daemon/config.hpp"
-#include "host/daemon/file_writer.hpp"
 #include "host/daemon/localizer.hpp"
 #include "host/daemon/session.hpp"
 #include "host/model/calibration.hpp"
@@ -33,12 +33,13 @@ class SiteCalibrator {
   SiteCalibrator(const Config& config, std::optional<model::Calibration> known, Session& session, Log log);
 
   // Starts what is due and collects what is done; returns the calibration to adopt, if there is one, first
-  // that of the file. Throws as io::write_file() does if the calibration of a drive cannot be written.
-  [[nodiscard]] std::optional<model::Calibration> service();
+  // that of the file. now_s never decreases.
+  [[nodiscard]] std::optional<model::Calibration> service(double now_s);
   // A pose of the filter, as of Localizer's on_settled.
   void on_settled(const PoseEstimate& pose);
   // At the end: learns from the samples since the last step too, and waits for a calibration that is being
-  // solved and for the files. False and exceptions: as failed() and service().
+  // solved and for the file. False: as failed(). Throws as io::write_file() does if the calibration cannot be
+  // written even now.
   [[nodiscard]] bool finish();
 
   // The drive is over, and is being solved.
@@ -51,8 +52,7 @@ class SiteCalibrator {
  private:
   [[nodiscard]] std::optional<model::Calibration> service_drive();
   [[nodiscard]] std::optional<model::Calibration> service_learner();
-  void write_learned();
-  void finish_writing();
+  void finish_drive();
   void finish_learning();
 
   const Config& config_;
@@ -63,9 +63,8 @@ class SiteCalibrator {
   std::future<calibration::Result> solution_;
   bool failed_ = false;
   std::unique_ptr<AnchorLearner> learner_;
-  bool in_use_ = false;    // a calibration is
-  bool to_write_ = false;  // the learner's anchors are not in their file yet
-  FileWriter writer_;
+  bool in_use_ = false;  // a calibration is
+  CalibrationWriter writer_;
 };
 
 }  // namespace groma::daemon

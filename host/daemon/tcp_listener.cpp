@@ -6,7 +6,6 @@
 #include <sys/socket.h>
 
 #include <cerrno>
-#include <system_error>
 #include <utility>
 
 #include "host/link/listening_socket.hpp"
@@ -14,26 +13,8 @@
 namespace groma::daemon {
 namespace {
 
-constexpr int kBacklog = 16;
-
-link::LinkError explain(const Endpoint& endpoint, std::string_view key, int error) {
-  const std::string where = fmt::format("{} port {}", endpoint.address, endpoint.port);
-  switch (error) {
-    case EADDRINUSE:
-      return {link::LinkFault::kBusy,
-              fmt::format("{}: in use by another program; stop it or set another {} port", where, key)};
-    case EACCES:
-    case EPERM:
-      return {link::LinkFault::kPermission,
-              fmt::format("{}: not permitted; set a {} port above 1023", where, key)};
-    case EADDRNOTAVAIL:
-      return {link::LinkFault::kNoDevice,
-              fmt::format("{}: not an address of this computer; set another {} address", where, key)};
-    default:
-      return {link::LinkFault::kUnsuitable, fmt::format("{}: cannot listen ({}); set another {}", where,
-                                                        std::generic_category().message(error), key)};
-  }
-}
+// Clients that connect within one turn of the loop; with a full backlog TCP tries again only after 1 s.
+constexpr int kBacklog = 256;
 
 std::uint16_t bound_port(int fd) {
   sockaddr_storage bound{};
@@ -52,7 +33,10 @@ bool lacks_resources(int error) {
 TcpListener::Opened TcpListener::open(EventLoop& loop, const Endpoint& endpoint, std::string_view key,
                                       Accepted accepted) {
   link::ListeningSocket listening = link::listen_at(endpoint.address, endpoint.port, SOCK_STREAM, kBacklog);
-  if (!listening.fd.valid()) return {nullptr, explain(endpoint, key, listening.error)};
+  if (!listening.fd.valid()) {
+    const std::string where = fmt::format("{} port {}", endpoint.address, endpoint.port);
+    return {nullptr, link::explain_listen_error(where, listening.error, key)};
+  }
   const std::uint16_t bound = bound_port(listening.fd.get());
   return {std::unique_ptr<TcpListener>(
               new TcpListener(loop, std::move(listening.fd), bound, std::move(accepted))),
@@ -78,7 +62,9 @@ void TcpListener::accept() {
   for (int i = 0; i < kAcceptsPerTurn; ++i) {
     io::Descriptor client(::accept4(listener_.get(), nullptr, nullptr, SOCK_NONBLOCK | SOCK_CLOEXEC));
     if (!client.valid()) {
-      if (lacks_resources(errno)) watch_.reset();
+      if (!lacks_resources(errno)) return;
+      ++pauses_;
+      watch_.reset();
       return;
     }
     const int on = 1;

@@ -33,6 +33,8 @@ class TcpListener {
                                    Accepted accepted);
 
   [[nodiscard]] std::uint16_t port() const noexcept { return port_; }
+  // How often it had to pause, because no descriptor or memory was free.
+  [[nodiscard]] std::uint64_t pauses() const noexcept { return pauses_; }
 
  private:
   // Without free descriptors the listener stays readable: accept no client for this time.
@@ -47,6 +49,7 @@ class TcpListener {
   io::Descriptor listener_;
   std::uint16_t port_;
   Accepted accepted_;
+  std::uint64_t pauses_ = 0;
   std::optional<EventLoop::Watch> watch_;  // none: pauses
   EventLoop::Timer resume_;
 };

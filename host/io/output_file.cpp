@@ -7,8 +7,13 @@
 
 #include <atomic>
 #include <cerrno>
+#include <charconv>
+#include <chrono>
+#include <csignal>
 #include <cstdio>
+#include <optional>
 #include <string>
+#include <string_view>
 #include <system_error>
 
 #include "host/io/descriptor.hpp"
@@ -68,13 +73,27 @@ bool is_special(const std::filesystem::path& path) {
          !std::filesystem::is_directory(status);
 }
 
+constexpr std::string_view kTemporaryPrefix = ".groma-";
+constexpr std::string_view kTemporarySuffix = ".tmp";
+
+// The process that has written a temporary file of that name; none: it is another file.
+std::optional<pid_t> writer_of(std::string_view name) {
+  if (name.substr(0, kTemporaryPrefix.size()) != kTemporaryPrefix) return std::nullopt;
+  name.remove_prefix(kTemporaryPrefix.size());
+  pid_t pid = 0;
+  const auto [end, error] = std::from_chars(name.data(), name.data() + name.size(), pid);
+  const bool good = error == std::errc() && pid > 0 && name.ends_with(kTemporarySuffix);
+  return good ? std::optional(pid) : std::nullopt;
+}
+
 // A file beside the target; the destructor removes it unless it has replaced the target.
 class TemporaryFile {
  public:
   explicit TemporaryFile(const std::filesystem::path& target) : target_(target) {
     static std::atomic<unsigned> serial{0};
     for (;;) {
-      path_ = folder_of(target) / fmt::format(".groma-{}-{}.tmp", ::getpid(), serial++);
+      path_ = folder_of(target) /
+              fmt::format("{}{}-{}{}", kTemporaryPrefix, ::getpid(), serial++, kTemporarySuffix);
       const int fd = ::open(path_.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0666);
       if (fd >= 0) {
         ::close(fd);
@@ -141,6 +160,23 @@ void write_file(const std::filesystem::path& path, std::string_view content) {
   TemporaryFile temporary(target);
   temporary.write(content);
   temporary.replace_target();
+}
+
+void remove_remains(const std::filesystem::path& path) {
+  // Of a process in another container, which cannot be seen from here, only old files are certain remains.
+  constexpr auto kOld = std::chrono::minutes(1);
+  std::error_code error;
+  for (std::filesystem::directory_iterator entry(folder_of(path), error), end; !error && entry != end;
+       entry.increment(error)) {
+    const std::optional<pid_t> writer = writer_of(entry->path().filename().string());
+    if (!writer) continue;
+    const bool ended = ::kill(*writer, 0) != 0 && errno == ESRCH;
+    const auto written = entry->last_write_time(error);
+    if (ended && !error && std::filesystem::file_time_type::clock::now() - written > kOld) {
+      ::unlink(entry->path().c_str());
+    }
+    error.clear();
+  }
 }
 
 void make_folder(const std::filesystem::path& path) {

@@ -15,6 +15,10 @@ void expect_writable(const std::filesystem::path& path);
 // the old content then remains.
 void write_file(const std::filesystem::path& path, std::string_view content);
 
+// Removes temporary files that write_file() has left beside this path, because its process was killed: those
+// of processes that have ended, older than a minute. Errors are ignored.
+void remove_remains(const std::filesystem::path& path);
+
 // Creates the folder and its parents if they do not exist. Throws as write_file().
 void make_folder(const std::filesystem::path& path);
 

@@ -43,6 +43,13 @@ LinkError explain_open_error(const std::string& path, int error_number) {
         return {LinkFault::kPermission,
                 fmt::format("{}: permission denied on a folder of its path; let this user enter it", path)};
       }
+      if (group == "root") {
+        return {
+            LinkFault::kPermission,
+            fmt::format("{}: permission denied; it belongs to group 'root': 'groma flash --udev-rules' gives "
+                        "ports to the group dialout; a link of another kind needs a group of its own",
+                        path)};
+      }
       return {LinkFault::kPermission,
               fmt::format("{}: permission denied; it belongs to group '{}': 'sudo usermod -aG {} $USER' and "
                           "log in again",

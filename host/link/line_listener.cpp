@@ -1,7 +1,6 @@
 #include "host/link/line_listener.hpp"
 
 #include <fcntl.h>
-#include <fmt/format.h>
 #include <sys/epoll.h>
 #include <sys/socket.h>
 #include <sys/stat.h>
@@ -34,31 +33,8 @@ bool watch(int poll_fd, int fd) noexcept {
   return ::epoll_ctl(poll_fd, EPOLL_CTL_ADD, fd, &event) == 0;
 }
 
-LinkError explain_listen_error(const std::string& path, int error_number) {
-  const char* const reason = std::strerror(error_number);
-  switch (error_number) {
-    case EADDRINUSE:
-      return {LinkFault::kBusy,
-              fmt::format("{}: another program listens here; stop it, or listen elsewhere", path)};
-    case EACCES:
-    case EPERM:
-    case EROFS:
-      return {
-          LinkFault::kPermission,
-          fmt::format(
-              "{}: not permitted ({}); listen in a folder that this user may write to, or at a port above "
-              "1023",
-              path, reason)};
-    case EADDRNOTAVAIL:
-    case ENOENT:
-      return {LinkFault::kNoDevice,
-              fmt::format(
-                  "{}: no such address or folder ({}); listen at an address of this computer, or in a folder "
-                  "that exists",
-                  path, reason)};
-    default:
-      return {LinkFault::kUnsuitable, fmt::format("{}: cannot listen ({}); listen elsewhere", path, reason)};
-  }
+LinkError explain(const std::string& path, int error_number) {
+  return explain_listen_error(path, error_number, "robot");
 }
 
 Descriptor open_spare() noexcept {
@@ -200,17 +176,17 @@ void LineListener::take(Client& client, std::string_view text) {
 OpenedLink open_line_listener(const std::string& path) {
   const auto network = parse_network_path(path);
   if (is_network_path(path) && (!network || network->local_port)) {
-    return {nullptr, explain_listen_error(path, EADDRNOTAVAIL)};
+    return {nullptr, explain(path, EADDRNOTAVAIL)};
   }
   ListeningSocket listening =
       network ? listen_at(network->host, network->port, network->udp ? SOCK_DGRAM : SOCK_STREAM, kBacklog)
               : listen_at_file(path);
-  if (!listening.fd.valid()) return {nullptr, explain_listen_error(path, listening.error)};
+  if (!listening.fd.valid()) return {nullptr, explain(path, listening.error)};
   const std::filesystem::path socket_file = network ? "" : path;
   Descriptor poll(::epoll_create1(EPOLL_CLOEXEC));
   if (!poll.valid() || !watch(poll.get(), listening.fd.get())) {
     if (!network) ::unlink(path.c_str());
-    return {nullptr, explain_listen_error(path, errno)};
+    return {nullptr, explain(path, errno)};
   }
   return {std::make_unique<LineListener>(std::move(poll), std::move(listening.fd), network && network->udp,
                                          socket_file),

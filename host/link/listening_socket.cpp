@@ -1,9 +1,11 @@
 #include "host/link/listening_socket.hpp"
 
+#include <fmt/format.h>
 #include <netdb.h>
 #include <sys/socket.h>
 
 #include <cerrno>
+#include <cstring>
 #include <memory>
 #include <utility>
 
@@ -35,6 +37,32 @@ ListeningSocket listen_at(const std::string& address, std::uint16_t port, int ty
     return {{}, errno};
   }
   return {std::move(fd), 0};
+}
+
+LinkError explain_listen_error(const std::string& where, int error_number, std::string_view key) {
+  const char* const reason = std::strerror(error_number);
+  switch (error_number) {
+    case EADDRINUSE:
+      return {LinkFault::kBusy,
+              fmt::format("{}: another program listens here; stop it, or change `{}`", where, key)};
+    case EACCES:
+    case EPERM:
+    case EROFS:
+      return {
+          LinkFault::kPermission,
+          fmt::format("{}: not permitted ({}); change `{}` to a port above 1023, or to a folder that this "
+                      "user may write to",
+                      where, reason, key)};
+    case EADDRNOTAVAIL:
+    case ENOENT:
+      return {
+          LinkFault::kNoDevice,
+          fmt::format("{}: no such address or folder ({}); change `{}` to an address of this computer, or to "
+                      "a folder that exists",
+                      where, reason, key)};
+    default:
+      return {LinkFault::kUnsuitable, fmt::format("{}: cannot listen ({}); change `{}`", where, reason, key)};
+  }
 }
 
 }  // namespace groma::link

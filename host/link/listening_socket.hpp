@@ -3,7 +3,9 @@
 
 #include <cstdint>
 #include <string>
+#include <string_view>
 
+#include "host/link/byte_link.hpp"
 #include "host/link/descriptor.hpp"
 
 namespace groma::link {
@@ -17,5 +19,10 @@ struct ListeningSocket {
 // that backlog, or SOCK_DGRAM.
 [[nodiscard]] ListeningSocket listen_at(const std::string& address, std::uint16_t port, int type,
                                         int backlog);
+
+// Explains that error, or that of a Unix socket. where: the address, port or file. key: its key in the
+// configuration.
+[[nodiscard]] LinkError explain_listen_error(const std::string& where, int error_number,
+                                             std::string_view key);
 
 }  // namespace groma::link

@@ -3,6 +3,7 @@
 #include <pb_decode.h>
 #include <pb_encode.h>
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <limits>
@@ -118,7 +119,12 @@ void ReportDecoder::take_report(const groma_SlotReport& report, double arrival_s
     ++counters_.messages_malformed;
     return;
   }
-  count_lost(report);
+  const ReportKey key{report.device_time_dtu, report.sequence, report.tag_id};
+  if (is_repeated(key)) {
+    ++counters_.reports_repeated;
+    return;
+  }
+  count_lost(key);
   const auto ticks = static_cast<std::int64_t>(report.device_time_dtu);
   const double transmitted_s = transmission_s(frames_.encoded_size());
   // The times of its ranges share the error of the report's time.
@@ -175,20 +181,26 @@ double ReportDecoder::transmission_s(std::size_t bytes) const noexcept {
   return baud_ > 0.0 ? kBitsPerByte * static_cast<double>(bytes) / baud_ : 0.0;
 }
 
-void ReportDecoder::count_lost(const groma_SlotReport& report) noexcept {
+bool ReportDecoder::is_repeated(const ReportKey& report) const noexcept {
+  // The usual case needs no search.
+  if (!last_report_ || report.device_time_dtu > last_report_->device_time_dtu) return false;
+  const auto end = remembered_.begin() + static_cast<std::ptrdiff_t>(
+                                             std::min<std::uint64_t>(counters_.reports, remembered_.size()));
+  return std::find(remembered_.begin(), end, report) != end;
+}
+
+void ReportDecoder::count_lost(const ReportKey& report) noexcept {
+  remembered_.at(counters_.reports % remembered_.size()) = report;
   ++counters_.reports;
-  const bool same_run = has_report_ && report.tag_id == last_tag_id_ &&
-                        report.device_time_dtu > last_device_time_dtu_ &&
-                        report.sequence - last_sequence_ - 1 < std::numeric_limits<std::uint32_t>::max() / 2;
-  if (same_run) {
-    counters_.frames_lost += report.sequence - last_sequence_ - 1;
-  } else if (has_report_ && report.tag_id != last_tag_id_) {
+  if (last_report_ && report.tag_id != last_report_->tag_id) {
     time_.reset();
+  } else if (last_report_ && report.device_time_dtu > last_report_->device_time_dtu) {
+    const std::uint32_t missing = report.sequence - last_report_->sequence - 1;
+    const double elapsed_s = static_cast<double>(report.device_time_dtu - last_report_->device_time_dtu) /
+                             clock::kDeviceTicksPerSecond;
+    if (missing <= kMaxReports_hz * elapsed_s) counters_.frames_lost += missing;
   }
-  has_report_ = true;
-  last_sequence_ = report.sequence;
-  last_device_time_dtu_ = report.device_time_dtu;
-  last_tag_id_ = report.tag_id;
+  last_report_ = report;
 }
 
 }  // namespace groma::link

@@ -2,8 +2,11 @@
 // about itself.
 #pragma once
 
+#include <array>
+#include <cstddef>
 #include <cstdint>
 #include <cstring>
+#include <optional>
 #include <span>
 #include <vector>
 
@@ -50,7 +53,8 @@ class NodeSink {
 struct ReportCounters {
   std::uint64_t messages = 0;              // frames with a valid message
   std::uint64_t messages_malformed = 0;    // intact frames whose content is not a message of the schema
-  std::uint64_t reports = 0;               // SlotReports and CompactReports
+  std::uint64_t reports = 0;               // SlotReports and CompactReports, without repeated ones
+  std::uint64_t reports_repeated = 0;      // received before: dropped
   std::uint64_t frames_lost = 0;           // reports missing in the sequence, lost on node or link
   std::uint64_t ranges = 0;                // delivered
   std::uint64_t ranges_not_ok = 0;         // with another status than RANGE_OK
@@ -73,6 +77,10 @@ class ReportDecoder {
   static constexpr double kMaxRange_m = 1000.0;
   static constexpr double kMaxInstantOffset_s = 5.0;
   static constexpr double kMaxRoundTrip_s = 1.0;
+  // A larger gap in the sequence of reports is no loss. Faster than any schedule.
+  static constexpr double kMaxReports_hz = 1000.0;
+  // Reports that a repeated one is recognized among: at least 3 s of them.
+  static constexpr std::size_t kRememberedReports = 2048;
 
   // baud: bit rate of the link in bit/s, 10 bits a byte, for the transmission time; 0: none.
   explicit ReportDecoder(unsigned baud) noexcept : baud_(baud) {}
@@ -86,12 +94,26 @@ class ReportDecoder {
   [[nodiscard]] const ReportCounters& counters() const noexcept { return counters_; }
   [[nodiscard]] const wire::FrameCounters& frame_counters() const noexcept { return frames_.counters(); }
   [[nodiscard]] const clock::TimeMapper& time() const noexcept { return time_; }
+  // The tag of the last report.
+  [[nodiscard]] std::optional<std::uint32_t> tag_id() const noexcept {
+    return last_report_ ? std::optional(last_report_->tag_id) : std::nullopt;
+  }
 
  private:
+  // What identifies a report.
+  struct ReportKey {
+    std::uint64_t device_time_dtu = 0;
+    std::uint32_t sequence = 0;
+    std::uint32_t tag_id = 0;
+
+    [[nodiscard]] bool operator==(const ReportKey&) const = default;
+  };
+
   void take_message(double arrival_s, NodeSink& sink);
   void take_report(const groma_SlotReport& report, double arrival_s, NodeSink& sink);
   void take_time_reply(const groma_TimeReply& reply, double arrival_s);
-  void count_lost(const groma_SlotReport& report) noexcept;
+  [[nodiscard]] bool is_repeated(const ReportKey& report) const noexcept;
+  void count_lost(const ReportKey& report) noexcept;
   [[nodiscard]] double transmission_s(std::size_t bytes) const noexcept;
 
   double baud_;
@@ -99,10 +121,8 @@ class ReportDecoder {
   clock::TimeMapper time_{clock::kDeviceTicksPerSecond};
   groma_NodeToHost message_ = groma_NodeToHost_init_zero;
   groma_SlotReport expanded_ = groma_SlotReport_init_zero;  // a CompactReport's content
-  bool has_report_ = false;
-  std::uint32_t last_sequence_ = 0;
-  std::uint64_t last_device_time_dtu_ = 0;
-  std::uint32_t last_tag_id_ = 0;
+  std::optional<ReportKey> last_report_;
+  std::array<ReportKey, kRememberedReports> remembered_{};  // a ring
   ReportCounters counters_;
 };
 

@@ -1,6 +1,7 @@
 #include "host/provision/site_plan.hpp"
 
 #include <fmt/format.h>
+#include <sys/stat.h>
 
 #include <algorithm>
 #include <array>
@@ -14,6 +15,7 @@
 
 #include "firmware/core/mac/superframe.hpp"
 #include "firmware/core/node/config.hpp"
+#include "host/io/error.hpp"
 #include "host/io/input_file.hpp"
 #include "host/io/yaml_reader.hpp"
 #include "host/link/can_path.hpp"
@@ -156,10 +158,20 @@ LinkSettings parse_link(const YamlValue& map, SiteSettings& site) {
   return link;
 }
 
+void expect_private(const std::filesystem::path& path) {
+  constexpr mode_t kOthers = 077;
+  struct stat status {};
+  if (::stat(path.c_str(), &status) != 0 || (status.st_mode & kOthers) == 0) return;
+  throw io::PermissionError(
+      {path}, "others may read or change this key",
+      fmt::format("'chmod 600 {}'; if they may have read it, make a new one", path.string()));
+}
+
 // The file must hold 32 hexadecimal digits and nothing else except white space around them.
 NetworkKey read_key(const YamlValue& value, const std::filesystem::path& folder) {
   const std::filesystem::path path = folder / value.text();
   std::string text = io::read_file(path);
+  expect_private(path);
   constexpr std::string_view kSpace = " \t\r\n";
   text.erase(0, std::min(text.find_first_not_of(kSpace), text.size()));
   text.erase(text.find_last_not_of(kSpace) + 1);

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <fcntl.h>
+#include <sys/resource.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -26,8 +27,9 @@ constexpr auto kPatience = std::chrono::seconds(40);
 // A gromad process; killed at the end if it still runs.
 class Gromad {
  public:
-  // as_nobody: drops root's rights if the test has them.
-  explicit Gromad(const std::vector<std::string>& arguments, bool as_nobody = false) {
+  // as_nobody: drops root's rights if the test has them. max_file_bytes: as of ulimit -f.
+  explicit Gromad(const std::vector<std::string>& arguments, bool as_nobody = false,
+                  std::optional<rlim_t> max_file_bytes = {}) {
     int pipe_ends[2];
     if (::pipe2(pipe_ends, O_CLOEXEC) != 0) throw std::runtime_error("pipe2");
     std::vector<const char*> argv{GROMAD_PATH};
@@ -38,6 +40,10 @@ class Gromad {
       ::dup2(pipe_ends[1], STDERR_FILENO);
       ::dup2(pipe_ends[1], STDOUT_FILENO);
       if (as_nobody && ::geteuid() == 0 && (::setgid(65534) != 0 || ::setuid(65534) != 0)) ::_exit(126);
+      if (max_file_bytes) {
+        const rlimit limit{*max_file_bytes, *max_file_bytes};
+        ::setrlimit(RLIMIT_FSIZE, &limit);
+      }
       ::execv(GROMAD_PATH, const_cast<char* const*>(argv.data()));
       ::_exit(127);
     }

@@ -1,10 +1,13 @@
 // gromad as a service: check and reload of its configuration, reports to systemd, its end by a signal.
+#include <fcntl.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <sys/socket.h>
+#include <sys/stat.h>
 #include <sys/un.h>
 
 #include <cstdlib>
+#include <filesystem>
 #include <fstream>
 #include <map>
 #include <sstream>
@@ -15,6 +18,7 @@
 #include "host/io/dataset.hpp"
 #include "host/io/descriptor.hpp"
 #include "host/io/exit_code.hpp"
+#include "host/io/input_file.hpp"
 #include "test/host/daemon/gromad_fixture.hpp"
 #include "test/support/child_process.hpp"
 
@@ -70,6 +74,29 @@ TEST_F(GromadTest, GivesPosesAndEndsWhileNobodyReadsItsLog) {
   EXPECT_FALSE(gromad.running());
   EXPECT_EQ(gromad.exit_code(), io::kGood);
   EXPECT_THAT(gromad.log().substr(logged), Not(HasSubstr("a line that is logged")));
+}
+
+// A reload reads its files beside the loop: a slow disk delays no pose.
+TEST_F(GromadTest, LocalizesWhileAReloadReads) {
+  SimulatedSite site(folder_.path(), kSpeed);
+  write_surveyed(site);
+  const std::string text = config_text("{file: calibration.yaml}");
+  Gromad gromad({"--config", folder_.write("gromad.yaml", text).string()});
+  ASSERT_TRUE(run_until(site, gromad, [&] { return poses("TRACKING") >= 100; })) << gromad.log();
+  // Reading a pipe takes until its writer closes it.
+  const std::filesystem::path file = folder_ / "calibration.yaml";
+  const std::string content = io::read_file(file);
+  std::filesystem::remove(file);
+  ASSERT_EQ(::mkfifo(file.c_str(), 0600), 0);
+  io::Descriptor writer(::open(file.c_str(), O_RDWR | O_CLOEXEC));
+  gromad.hang_up();
+  const std::size_t before = poses("TRACKING");
+  ASSERT_TRUE(run_until(site, gromad, [&] { return poses("TRACKING") >= before + 100; })) << gromad.log();
+  EXPECT_EQ(gromad.log().find("reloaded"), std::string::npos) << gromad.log();
+  ASSERT_EQ(::write(writer.get(), content.data(), content.size()), static_cast<ssize_t>(content.size()));
+  writer.close();
+  ASSERT_TRUE(run_until(site, gromad, [&] { return gromad.log().find("reloaded ") != std::string::npos; }))
+      << gromad.log();
 }
 
 TEST_F(GromadTest, ReportsToSystemd) {

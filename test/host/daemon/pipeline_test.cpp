@@ -111,6 +111,32 @@ TEST_F(PipelineTest, RepeatsItselfBitForBit) {
   EXPECT_EQ(runs[0], runs[1]);
 }
 
+TEST_F(PipelineTest, LogsTwoLinksThatReportOneTag) {
+  config_.nodes.push_back({"tag-1-again", 1'000'000});
+  const auto pipeline = make();
+  const auto run = [&](const std::vector<CircleDrive::Arrival>& arrivals, const auto& takes) {
+    double checked_s = arrivals.front().host_s;
+    for (const CircleDrive::Arrival& arrival : arrivals) {
+      const double since_s = arrival.host_s - arrivals.front().host_s;
+      for (const std::size_t node : {0U, 1U}) {
+        if (!arrival.robot && takes(node, since_s)) pipeline->node_bytes(node, arrival.bytes, arrival.host_s);
+      }
+      if (arrival.host_s < checked_s + Pipeline::kStatusPeriod_s) continue;
+      checked_s = arrival.host_s;
+      pipeline->log_faults();
+    }
+  };
+  const auto arrivals = drive_.arrivals(20.0);
+  const auto middle = arrivals.begin() + static_cast<std::ptrdiff_t>(arrivals.size() / 2);
+  // The tag changes its port.
+  run({arrivals.begin(), middle}, [](std::size_t node, double t_s) { return node == (t_s < 4.5 ? 0U : 1U); });
+  EXPECT_THAT(log_, ElementsAre());
+  run({middle, arrivals.end()}, [](std::size_t /*node*/, double /*t_s*/) { return true; });
+  EXPECT_THAT(log_,
+              ElementsAre("tag-1 and tag-1-again: both report tag 1, so that its ranges count twice; remove "
+                          "one of them from `nodes`"));
+}
+
 TEST_F(PipelineTest, ContinuesWithTheCalibrationThatItAdopts) {
   const auto pipeline = make();
   model::Calibration part = drive_.surveyed();

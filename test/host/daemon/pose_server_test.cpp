@@ -106,8 +106,44 @@ TEST_F(PoseServerTest, IgnoresDataFromAClient) {
   EXPECT_EQ(server.client_count(), 2U);
 }
 
+// Clients that do not read fill their buffers, and give their places to others; a client that reads stays.
+TEST_F(PoseServerTest, AClientThatReadsTakesThePlaceOfOneThatDoesNot) {
+  PoseServer& server = open("hello\n");
+  TcpClient reader(server.port());
+  std::vector<std::unique_ptr<TcpClient>> silent;
+  while (silent.size() + 1 < PoseServer::kMaxClients) {
+    silent.push_back(std::make_unique<TcpClient>(server.port()));
+    loop_.poll();
+  }
+  ASSERT_EQ(server.client_count(), PoseServer::kMaxClients);
+  const std::string line(1000, 'x');
+  std::size_t sent = 0;
+  for (; server.waiting_bytes() < silent.size() * PoseServer::kBehind; ++sent) {
+    // Some seconds of poses at 50 Hz, not minutes.
+    ASSERT_LT(sent, 500U);
+    server.on_line(line + "\n");
+    loop_.poll();
+    reader.receive();
+  }
+  ASSERT_EQ(server.counters().too_slow, 0U);
+  std::vector<std::unique_ptr<TcpClient>> late;
+  for (std::uint64_t i = 1; i <= 3; ++i) {
+    late.push_back(std::make_unique<TcpClient>(server.port()));
+    loop_.poll();
+    EXPECT_EQ(late.back()->receive(), "hello\n");
+    EXPECT_EQ(server.counters().too_slow, i);
+  }
+  EXPECT_EQ(server.counters().refused, 0U);
+  server.on_line("still there\n");
+  EXPECT_EQ(reader.receive(), "still there\n");
+  EXPECT_FALSE(reader.ended());
+  std::string log;
+  server.log_events([&](std::string_view text) { log += text; });
+  EXPECT_EQ(log, "pose stream: clients dropped so far because they did not read: 3");
+}
+
 TEST_F(PoseServerTest, RefusesClientsBeyondItsBound) {
-  PoseServer& server = open("");
+  PoseServer& server = open("hello\n");
   std::vector<std::unique_ptr<TcpClient>> clients;
   for (std::size_t i = 0; i < PoseServer::kMaxClients + 3; ++i) {
     clients.push_back(std::make_unique<TcpClient>(server.port()));
@@ -115,8 +151,15 @@ TEST_F(PoseServerTest, RefusesClientsBeyondItsBound) {
   }
   EXPECT_EQ(server.client_count(), PoseServer::kMaxClients);
   EXPECT_EQ(server.counters().refused, 3U);
-  EXPECT_EQ(clients.back()->receive(), "");
+  EXPECT_THAT(clients.back()->receive(), testing::StartsWith("hello\n{\"class\":\"REFUSED\","));
+  static_cast<void>(clients.back()->receive());
   EXPECT_TRUE(clients.back()->ended());
+  std::string log;
+  server.log_events([&](std::string_view text) { log += text; });
+  EXPECT_EQ(log, "pose stream: clients refused so far because 64 others read it: 3");
+  const std::string before = log;
+  server.log_events([&](std::string_view text) { log += text; });
+  EXPECT_EQ(log, before);
 }
 
 TEST_F(PoseServerTest, ExplainsWhyItCannotListen) {

@@ -7,8 +7,10 @@
 #include <algorithm>
 #include <cmath>
 #include <string>
+#include <utility>
 #include <vector>
 
+#include "host/daemon/robot_clock.hpp"
 #include "test/host/link/node_frames.hpp"
 
 namespace groma::daemon {
@@ -323,6 +325,24 @@ TEST(Session, TheResultDoesNotDependOnHowBytesAreCut) {
     EXPECT_EQ(results[0][i].t_s, results[1][i].t_s);
     EXPECT_EQ(results[0][i].t_s, results[2][i].t_s);
     EXPECT_EQ(results[0][i].anchor_id, results[2][i].anchor_id);
+  }
+}
+
+// Since 1970, as the clocks of most robots count.
+TEST(RobotClock, NamesTheUnitOfEpochTimes) {
+  for (const auto& [factor, unit] :
+       {std::pair{1e3, "milliseconds"}, {1e6, "microseconds"}, {1e9, "nanoseconds"}}) {
+    SCOPED_TRACE(unit);
+    RobotClock clock;
+    for (double now_s = 10.0; now_s < 12.0; now_s += 0.02) {
+      EXPECT_EQ(clock.judge(factor * (1.76e9 + now_s), now_s), Timestamp::kWrong);
+    }
+    ASSERT_TRUE(clock.fault());
+    EXPECT_EQ(clock.fault()->cause, TimestampFault::Cause::kTimeUnit);
+    EXPECT_NEAR(clock.fault()->value / factor, 1.0, 0.01);
+    EXPECT_THAT(evidence(*clock.fault()), testing::HasSubstr(unit));
+    EXPECT_FALSE(clock.robot_time_s(12.0));
+    EXPECT_EQ(clock.judge(1.76e9 + 12.0, 12.0), Timestamp::kGood);
   }
 }
 

@@ -387,6 +387,10 @@ TEST(Timestamps, FastOdometryIsMergedAndAsGood) {
     EXPECT_LT(poses_hz, 201.0);
     EXPECT_GT(poses_hz, 150.0);
     EXPECT_EQ(drive.session().counters().odometry_merged > 0, rate_hz > 200.0);
+    const auto said = std::count_if(drive.log().begin(), drive.log().end(), [](const std::string& line) {
+      return line.find("and is merged to") != std::string::npos;
+    });
+    EXPECT_EQ(said, rate_hz > 200.0 ? 1 : 0);
   }
 }
 

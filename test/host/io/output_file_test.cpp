@@ -3,9 +3,12 @@
 #include <gtest/gtest.h>
 #include <sys/resource.h>
 #include <sys/stat.h>
+#include <sys/wait.h>
 #include <unistd.h>
 
+#include <chrono>
 #include <csignal>
+#include <filesystem>
 #include <string>
 
 #include "host/io/error.hpp"
@@ -98,6 +101,28 @@ TEST_F(OutputFileTest, AFullDiskKeepsTheOldFile) {
   ASSERT_EQ(::setrlimit(RLIMIT_FSIZE, &before), 0);
   EXPECT_EQ(read_text(folder_ / "a.csv"), "old");
   EXPECT_EQ(files(), 1U) << "neither a partial nor a temporary file";
+}
+
+TEST_F(OutputFileTest, RemovesWhatAKilledProcessHasLeft) {
+  const pid_t child = ::fork();
+  if (child == 0) ::_exit(0);
+  ASSERT_EQ(::waitpid(child, nullptr, 0), child);
+  const auto old = [&](const std::string& name) {
+    folder_.write(name, "x");
+    std::filesystem::last_write_time(folder_ / name,
+                                     std::filesystem::file_time_type::clock::now() - std::chrono::hours(1));
+  };
+  const std::string ended = std::to_string(child);
+  old(".groma-" + ended + "-0.tmp");
+  folder_.write(".groma-" + ended + "-1.tmp", "x");
+  old(".groma-" + std::to_string(::getpid()) + "-0.tmp");
+  old(".groma-" + ended + "-2.yaml");
+  old(".groma-.tmp");
+  old("calibration.yaml");
+  remove_remains(folder_ / "calibration.yaml");
+  EXPECT_FALSE(std::filesystem::exists(folder_ / (".groma-" + ended + "-0.tmp")));
+  EXPECT_EQ(files(), 5U);
+  remove_remains(folder_ / "no" / "folder.yaml");
 }
 
 TEST_F(OutputFileTest, AFolderIsCreatedWithItsParents) {

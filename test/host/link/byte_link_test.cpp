@@ -187,11 +187,28 @@ TEST(OpenLink, RefusesAPathThatIsNotATerminal) {
   EXPECT_THAT(folder.error.message, HasSubstr("/tmp: "));
 }
 
+constexpr gid_t kTty = 5;  // on Debian
+
+// The advice never makes a user a member of the group root.
+TEST(OpenLink, AdvisesAUdevRuleForADeviceOfRoot) {
+  if (::geteuid() != 0) GTEST_SKIP() << "only root can give a pseudo-terminal to the group root";
+  const Pty pty;
+  ASSERT_EQ(::chown(pty.path().c_str(), 0, 0), 0);
+  ASSERT_EQ(::chmod(pty.path().c_str(), 0600), 0);
+  ASSERT_EQ(::seteuid(65534), 0);
+  const OpenedLink opened = open_link(pty.path(), 115200);
+  ASSERT_EQ(::seteuid(0), 0);
+  EXPECT_EQ(opened.error.fault, LinkFault::kPermission) << opened.error.message;
+  EXPECT_THAT(opened.error.message, HasSubstr("groma flash --udev-rules"));
+  EXPECT_EQ(opened.error.message.find("usermod"), std::string::npos) << opened.error.message;
+}
+
 TEST(OpenLink, NamesTheGroupThatMayOpenADevice) {
   const Pty pty;
   ASSERT_EQ(::chmod(pty.path().c_str(), 0600), 0);
   const bool root = ::geteuid() == 0;
   if (root) {
+    ASSERT_EQ(::chown(pty.path().c_str(), 0, kTty), 0);
     ASSERT_EQ(::seteuid(65534), 0);
   } else if (::chmod(pty.path().c_str(), 0) != 0) {
     GTEST_SKIP() << "the pseudo-terminal's mode cannot be changed";

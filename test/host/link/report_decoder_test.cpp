@@ -138,6 +138,7 @@ TEST(ReportDecoder, PassesOnTheQualityOfARange) {
   Collected got;
   decoder.take(frame_of(message), 5.0, got);
   message.body.slot_report.network_time_dtu = 0;
+  message.body.slot_report.sequence = 1;
   decoder.take(frame_of(message), 5.1, got);
   ASSERT_EQ(got.ranges.size(), 4U);
   EXPECT_FLOAT_EQ(got.ranges[0].clock_offset_ppm, -4.321F);
@@ -270,6 +271,43 @@ TEST(ReportDecoder, CountsLostReportsByTheirSequence) {
   EXPECT_EQ(decoder.time().counters().counter_restarts, 1U);
 }
 
+// Frames that are received again, as from a recording, cost nothing and are no loss.
+TEST(ReportDecoder, DropsRepeatedReportsAndCountsThemApart) {
+  ReportDecoder decoder(0);
+  Collected got;
+  std::vector<std::vector<std::uint8_t>> frames;
+  for (std::uint32_t i = 0; i < 900; ++i) {
+    const auto device_dtu = static_cast<std::uint64_t>(dtu(50.0 + 0.0035 * i));
+    frames.push_back(frame_of(make_report(70 + i, 1, device_dtu, {make_range(1, 2.0, 0)})));
+  }
+  double now_s = 1.0;
+  const auto send = [&](std::size_t from, std::size_t to) {
+    for (std::size_t i = from; i < to; ++i) decoder.take(frames[i], now_s += 0.0035, got);
+  };
+  send(0, 850);
+  now_s -= 0.0035 * 850;  // at once
+  for (int i = 0; i < 3; ++i) decoder.take(frames[849], now_s + 0.0035 * 850, got);
+  send(0, 850);
+  EXPECT_EQ(decoder.counters().reports_repeated, 853U);
+  send(850, 900);
+  EXPECT_EQ(decoder.counters().reports, 900U);
+  EXPECT_EQ(decoder.counters().frames_lost, 0U);
+  EXPECT_EQ(decoder.time().counters().counter_restarts, 0U);
+  ASSERT_EQ(got.ranges.size(), 900U);
+}
+
+TEST(ReportDecoder, AnImpossibleGapIsNoLoss) {
+  ReportDecoder decoder(0);
+  Collected got;
+  std::uint32_t sequence = 0;
+  for (std::uint32_t i = 0; i < 200; ++i) {
+    sequence = i % 2 == 0 ? 0x1234'5678U * i : sequence + 2;  // each other report is really missing
+    decoder.take(frame_of(make_report(sequence, 1, static_cast<std::uint64_t>(dtu(1.0 + 0.01 * i)), {})),
+                 1.0 + 0.01 * i, got);
+  }
+  EXPECT_EQ(decoder.counters().frames_lost, 100U);
+}
+
 TEST(ReportDecoder, ADamagedFrameIsALostReport) {
   ReportDecoder decoder(0);
   Collected got;
@@ -367,16 +405,16 @@ TEST(ReportDecoder, StaysWithinItsBoundsForAnyFrame) {
   };
   std::vector<groma_Range> ranges;
   for (std::uint16_t i = 0; i < 6; ++i) ranges.push_back(make_range(i, 3.0 + i, -dtu(0.01 * i)));
-  const auto good = frame_of(make_report(5, 1, static_cast<std::uint64_t>(dtu(100.0)), ranges));
   wire::FrameDecoder unpacked;
-  for (const std::uint8_t byte : good) unpacked.push(byte);
-  const std::vector<std::uint8_t> payload(unpacked.payload().begin(), unpacked.payload().end());
 
   ReportDecoder decoder(115200);
   Collected got;
   constexpr std::uint64_t kTries = 200'000;
   for (std::uint64_t i = 0; i < kTries; ++i) {
-    std::vector<std::uint8_t> damaged = payload;
+    const auto device_dtu = static_cast<std::uint64_t>(dtu(100.0 + 1e-3 * static_cast<double>(i)));
+    const auto good = frame_of(make_report(static_cast<std::uint32_t>(i), 1, device_dtu, ranges));
+    for (const std::uint8_t byte : good) unpacked.push(byte);
+    std::vector<std::uint8_t> damaged(unpacked.payload().begin(), unpacked.payload().end());
     for (std::size_t n = 1 + random() % 4; n > 0; --n) {
       damaged[random() % damaged.size()] = static_cast<std::uint8_t>(random());
     }

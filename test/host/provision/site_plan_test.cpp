@@ -182,6 +182,7 @@ TEST_F(SitePlanTest, TheNetworkKeyComesFromItsOwnFileAndIsNotShown) {
   const std::string text =
       "schema: 1\nnetwork_id: 5\nnetwork_key_file: key\nnodes: [{id: 9, role: anchor}, {id: 1, role: tag}]\n";
   scratch_.write("key", "000102030405060708090A0b0c0d0eff\n");
+  std::filesystem::permissions(scratch_ / "key", std::filesystem::perms{0600});
   const groma_Config config = read(text).nodes[0].config;
   ASSERT_EQ(config.network_key.size, 16);
   EXPECT_EQ(config.network_key.bytes[1], 1);
@@ -195,6 +196,24 @@ TEST_F(SitePlanTest, TheNetworkKeyComesFromItsOwnFileAndIsNotShown) {
     EXPECT_THAT(fault, HasSubstr("which holds no key; write 32 hexadecimal digits"));
     EXPECT_THAT(fault, ::testing::Not(HasSubstr("0102")));
   }
+}
+
+TEST_F(SitePlanTest, RefusesAKeyThatOthersMayReadOrWrite) {
+  const std::string text =
+      "schema: 1\nnetwork_id: 5\nnetwork_key_file: key\nnodes: [{id: 9, role: anchor}, {id: 1, role: tag}]\n";
+  scratch_.write("key", "000102030405060708090A0b0c0d0eff\n");
+  for (const unsigned mode : {0640U, 0620U, 0604U, 0602U, 0666U}) {
+    SCOPED_TRACE(mode);
+    std::filesystem::permissions(scratch_ / "key", std::filesystem::perms{mode});
+    try {
+      static_cast<void>(read(text));
+      ADD_FAILURE() << "no error";
+    } catch (const io::PermissionError& error) {
+      EXPECT_THAT(error.what(), HasSubstr("key: others may read or change this key; 'chmod 600 "));
+    }
+  }
+  std::filesystem::permissions(scratch_ / "key", std::filesystem::perms{0400});
+  EXPECT_EQ(read(text).nodes.at(0).config.network_key.size, 16);
 }
 
 TEST_F(SitePlanTest, ANodeWithoutACableNamesTheNodeThatPassesOn) {
