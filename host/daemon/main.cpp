@@ -78,6 +78,8 @@ int run(int argc, char** argv) {
   Config config = read_config(path);
   std::optional<model::Calibration> calibration = load_calibration(config.calibration);
   if (config.calibration.output) io::expect_writable(*config.calibration.output);
+  for (const auto& file : {config.calibration.output, config.last_pose})
+    if (file) io::remove_left_files(*file);
 
   Daemon daemon(std::move(config), std::move(calibration), log);
   if (const link::LinkError error = daemon.open(); error.fault != link::LinkFault::kNone) {

@@ -7,6 +7,7 @@
 
 #include <atomic>
 #include <cerrno>
+#include <csignal>
 #include <cstdio>
 #include <string>
 #include <system_error>
@@ -141,6 +142,22 @@ void write_file(const std::filesystem::path& path, std::string_view content) {
   TemporaryFile temporary(target);
   temporary.write(content);
   temporary.replace_target();
+}
+
+void remove_left_files(const std::filesystem::path& path) noexcept {
+  std::error_code error;
+  for (std::filesystem::directory_iterator entry(folder_of(target_of(path)), error), end;
+       !error && entry != end; entry.increment(error)) {
+    int process = 0;
+    int read = 0;
+    const std::string name = entry->path().filename().string();
+    // %n is set only after all of the name has matched.
+    if (std::sscanf(name.c_str(), ".groma-%d-%*u.tmp%n", &process, &read) != 1) continue;
+    const bool is_whole = read == static_cast<int>(name.size());
+    std::error_code ignored;
+    if (is_whole && process > 0 && ::kill(process, 0) != 0 && errno == ESRCH)
+      std::filesystem::remove(entry->path(), ignored);
+  }
 }
 
 void make_folder(const std::filesystem::path& path) {

@@ -15,6 +15,9 @@ void expect_writable(const std::filesystem::path& path);
 // the old content then remains.
 void write_file(const std::filesystem::path& path, std::string_view content);
 
+// Removes the temporary files that write_file() left beside `path` in processes that were killed.
+void remove_left_files(const std::filesystem::path& path) noexcept;
+
 // Creates the folder and its parents if they do not exist. Throws as write_file().
 void make_folder(const std::filesystem::path& path);
 
