@@ -43,6 +43,7 @@ int run(int argc, char** argv) {
   add_listen(app, action);
   add_nodes(app, action);
   add_plan(app, action);
+  add_record(app, action);
   add_replay(app, action);
   add_sim(app, action);
   add_smooth(app, action);

@@ -9,6 +9,7 @@
 #include <chrono>
 #include <cstddef>
 #include <cstdint>
+#include <filesystem>
 #include <map>
 #include <memory>
 #include <optional>
@@ -22,6 +23,7 @@
 #include "host/cli/command.hpp"
 #include "host/cli/filter_input.hpp"
 #include "host/cli/json.hpp"
+#include "host/cli/replay_stream.hpp"
 #include "host/cli/terminal.hpp"
 #include "host/cli/warnings.hpp"
 #include "host/diagnosis/finding.hpp"
@@ -37,6 +39,7 @@ namespace {
 struct ReplayOptions {
   FilterInput input;
   std::string model{filter::model_name(filter::Config{}.model)};
+  std::optional<std::filesystem::path> stream;
 };
 
 std::vector<std::string> model_names() {
@@ -79,6 +82,13 @@ Json state_shares(std::span<const filter::ReplayResult::RowState> states) {
 }
 
 int run(const ReplayOptions& options) {
+  if (options.stream) {
+    return replay_stream({.capture = options.input.dataset(),
+                          .section = options.input.selection().section(),
+                          .output = *options.stream,
+                          .json = options.input.json()});
+  }
+  if (options.input.output().empty()) throw CLI::RequiredError("--output");
   io::expect_writable(options.input.output());
   Warnings warnings;
   FilterInput::Drive drive = options.input.read("replay", FilterInput::StartIs::kFoundOtherwise, warnings);
@@ -175,6 +185,18 @@ void add_replay(CLI::App& app, Action& action) {
       ->check(CLI::IsMember(model_names()))
       ->type_name("NAME");
   options->input.add_output(*command);
+  command->get_option("--output")->required(false);
+  CLI::Option* stream =
+      command
+          ->add_option(
+              "--stream", options->stream,
+              "Instead of a table: write the POSE lines that went out, from a capture of gromad that "
+              "this build recorded, and say whether they are the same. Takes calibration and start "
+              "from the capture; all sections, unless --section chooses one")
+          ->type_name("FILE");
+  for (const char* other : {"--calibration", "--surveyed", "--from", "--to", "--tags", "--anchors", "--start",
+                            "--relocate", "--model", "--output"})
+    stream->excludes(command->get_option(other));
   command->callback([options, &action] { action = [options] { return run(*options); }; });
 }
 

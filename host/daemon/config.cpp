@@ -30,6 +30,8 @@ constexpr double kMinDrive_s = 10.0;
 constexpr double kMaxDrive_s = 3600.0;
 constexpr double kMaxReorderLag_s = 0.5;  // SessionConfig::max_delay_s: later measurements are dropped
 constexpr double kMaxSpeed = 1000.0;
+constexpr std::int64_t kMinRing_mib = 16;
+constexpr std::int64_t kMaxRing_mib = 1 << 20;
 constexpr unsigned kMinBaud = 1200;
 constexpr unsigned kMaxBaud = 4'000'000;
 constexpr auto kMaxId = std::numeric_limits<model::NodeId>::max();
@@ -199,6 +201,13 @@ void parse_endpoint(const YamlValue& yaml, Endpoint& endpoint) {
   }
 }
 
+RingSettings parse_ring(const YamlValue& yaml, const std::filesystem::path& folder) {
+  RingSettings ring{.folder = parse_path(yaml.at("folder"), folder)};
+  if (const auto size = yaml.find("size_mib"))
+    ring.size_mib = static_cast<std::uint64_t>(size->integer(kMinRing_mib, kMaxRing_mib));
+  return ring;
+}
+
 void parse_speed(const YamlValue& yaml, Config& config) {
   config.speed = yaml.number();
   if (config.robot_can && config.speed != 1.0) {
@@ -270,6 +279,13 @@ YamlType calibration_type() {
        {"output", YamlType::text(), "The file that receives the calibration.", false}});
 }
 
+YamlType ring_type() {
+  return YamlType::map(
+      {{"folder", YamlType::text(), "Folder of the recording's files; made if it is missing."},
+       {"size_mib", YamlType::integer(kMinRing_mib, kMaxRing_mib), "Size of the recording at most, MiB.",
+        false}});
+}
+
 YamlType endpoint_type() {
   return YamlType::map(
       {{"address", YamlType::text(), "Numeric address of an interface; 0.0.0.0: all.", false},
@@ -336,6 +352,8 @@ void append_optional(std::vector<ConfigKey>& keys) {
        }});
   keys.push_back({{"log", YamlType::text(), "File to which all input is appended.", false},
                   [](Yaml yaml, In in, Files&) { in.config.log = parse_path(yaml, in.folder); }});
+  keys.push_back({{"ring", ring_type(), "The recording of the last drive.", false},
+                  [](Yaml yaml, In in, Files&) { in.config.ring = parse_ring(yaml, in.folder); }});
   keys.push_back({{"last_pose", YamlType::text(), "File with the pose that the next run starts from.", false},
                   [](Yaml yaml, In in, Files&) { in.config.last_pose = parse_path(yaml, in.folder); }});
   keys.push_back({{"reorder_lag_s", YamlType::between(0.0, kMaxReorderLag_s),
@@ -414,14 +432,15 @@ filter::Config Config::filter_config() const {
   return out;
 }
 
-ConfigReading parse_config(const std::filesystem::path& path) {
+ConfigReading parse_config(const std::filesystem::path& path, const io::InputFiles::Texts& given) {
   ConfigReading out;
   out.config.path = path;
   Errors errors;
-  io::InputFiles all;
+  io::InputFiles all(given);
   const std::filesystem::path folder = path.parent_path();
   try {
     const YamlValue yaml = YamlValue::parse(path, all.read(path));
+    out.config.files = all.texts();
     const std::vector<ConfigKey> keys = config_keys();
     for (const io::ConfigError& error : type_of(keys).key_errors_of(yaml)) errors.add(error);
     errors.attempt(yaml, [&] { expect_robot(yaml); });
@@ -431,8 +450,9 @@ ConfigReading parse_config(const std::filesystem::path& path) {
       const std::vector<io::ConfigError> own = key.key.type.errors_of(*value);
       for (const io::ConfigError& error : own) errors.add(error);
       if (!own.empty()) continue;
-      io::InputFiles files;
+      io::InputFiles files(given);
       errors.attempt(*value, [&] { key.parse(*value, {folder, out.config}, files); });
+      out.config.files.insert(files.texts().begin(), files.texts().end());
       out.config.values[key.key.name] = value->dump() + files.digest();
       out.places[key.key.name] = value->place();
     }

@@ -22,6 +22,7 @@
 //   pose_stream: {address: 127.0.0.1, port: 4721}
 //   web: {address: 127.0.0.1, port: 4722}       # counters for Prometheus at /metrics; default: none
 //   log: drive.glog                             # measurements are appended to this file
+//   ring: {folder: ring, size_mib: 256}         # the last drive is kept in this folder, in at most that size
 //   last_pose: last-pose.json                   # the next run starts from the pose in this file
 //   reorder_lag_s: 0.2
 //   imu: {sigma_omega_radps: 0.005, bias_sigma_radps: 0.01}  # the defaults
@@ -44,6 +45,7 @@
 #include "host/filter/config.hpp"
 #include "host/io/dataset.hpp"
 #include "host/io/error.hpp"
+#include "host/io/input_file.hpp"
 #include "host/model/surface.hpp"
 #include "host/model/types.hpp"
 
@@ -62,10 +64,17 @@ struct CalibrationSource {
   std::optional<std::filesystem::path> output;  // receives the calibration; may be the same as `file`
 };
 
+// The recording of the last drive, in a folder of its own.
+struct RingSettings {
+  std::filesystem::path folder;
+  std::uint64_t size_mib = 256;  // at most
+};
+
 struct Config {
   std::filesystem::path path;  // of the file
   std::map<std::string, std::string>
-      values;  // each top-level key's value, with a digest of the files it names
+      values;                   // each top-level key's value, with a digest of the files it names
+  io::InputFiles::Texts files;  // the file, and those that it names, except the calibration
   std::vector<NodeLink> nodes;
   // At least one of these three is given.
   std::filesystem::path robot_socket;               // the robot's software listens there; empty: none
@@ -80,11 +89,17 @@ struct Config {
   filter::Model model = filter::Config{}.model;
   Endpoint pose_stream{.address = "127.0.0.1", .port = 4721};
   std::optional<Endpoint> web;                     // none: no HTTP server
-  std::optional<std::filesystem::path> log;        // none: nothing is recorded
+  std::optional<std::filesystem::path> log;        // none: nothing is appended
+  std::optional<RingSettings> ring;                // none: the last drive is not kept
   std::optional<std::filesystem::path> last_pose;  // none: not kept
   double reorder_lag_s = 0.2;
   double speed = 1.0;
 
+  // Of the robot; 1 where none is given, as in a simulation.
+  [[nodiscard]] std::size_t robot_links() const noexcept {
+    const std::size_t given = robot_listen.size() + (robot_socket.empty() ? 0U : 1U) + (robot_can ? 1U : 0U);
+    return given > 0 ? given : 1;
+  }
   // The description of site and robot that a log holds beside its measurements.
   [[nodiscard]] std::vector<io::DescriptionFile> description() const;
   // The filter's configuration, with the sigmas of odometry and ranges.
@@ -103,7 +118,9 @@ struct ConfigReading {
   std::map<std::string, io::FilePlace> places;  // of each top-level key's value
   std::vector<ConfigProblem> problems;          // all errors, in the order of their lines
 };
-[[nodiscard]] ConfigReading parse_config(const std::filesystem::path& path);
+// given: the texts of files that need not be on the disk.
+[[nodiscard]] ConfigReading parse_config(const std::filesystem::path& path,
+                                         const io::InputFiles::Texts& given = {});
 
 // Throws the first error: io::ConfigError with the place and the remedy; io::DataError or io::PermissionError
 // if the file, or a file that it names, cannot be read.

@@ -11,7 +11,10 @@
 #include <utility>
 
 #include "groma.pb.h"
+#include "host/daemon/capture.hpp"
 #include "host/daemon/robot_can.hpp"
+#include "host/io/error.hpp"
+#include "host/io/log_ring.hpp"
 #include "host/link/line_listener.hpp"
 #include "host/link/report_decoder.hpp"
 
@@ -118,16 +121,7 @@ link::LinkError Daemon::open() {
   for (const auto& input : inputs_) {
     if (link::LinkError error = input->open(); error.fault != link::LinkFault::kNone) return error;
   }
-  if (config_.log) {
-    recorder_ = std::make_unique<LogRecorder>(*config_.log, config_.description());
-    if (const auto failure = recorder_->take_failure()) {
-      log_(*failure);
-      recorder_.reset();
-    } else {
-      pipeline_.session().attach(*recorder_);
-      log_(fmt::format("recording into {}", config_.log->string()));
-    }
-  }
+  start_recording();
   calibrator_.emplace(config_, std::exchange(known_, std::nullopt), pipeline_.session(), log_);
   const auto call = [this](double period_s, void (Daemon::*action)()) {
     timers_.push_back(
@@ -205,6 +199,8 @@ void Daemon::reload(Reload next) {
   config_.tags = std::move(next.config.tags);
   config_.calibration = std::move(next.config.calibration);
   config_.values = std::move(next.config.values);
+  config_.files = std::move(next.config.files);
+  for (const auto& recorder : recorders_) recorder->describe(config_.description());
   log_("reloaded " + config_.path.string() + ": " + describe(*next.calibration));
   adopt(*std::move(next.calibration));
 }
@@ -231,6 +227,7 @@ void Daemon::adopt(model::Calibration calibration) {
 void Daemon::publish(const PoseEstimate& pose) {
   const std::string_view line = pose_writer_.line(pose, pipeline_.frame(), filter::model_name(config_.model));
   for (const auto& output : outputs_) output->on_pose(pose, line);
+  for (const auto& recorder : recorders_) recorder->on_pose(line);
   pose_latency_.observe((loop_.now_s() - arrival_s_) / config_.speed);
   if (last_pose_ && pose.state == filter::State::kTracking) last_pose_->take(pose, loop_.now_s());
 }
@@ -269,14 +266,50 @@ void Daemon::request_times() {
   }
 }
 
-void Daemon::record() {
-  if (!recorder_) return;
-  recorder_->advance(loop_.now_s());
-  if (const auto failure = recorder_->take_failure()) {
-    log_(*failure);
-    pipeline_.session().detach(*recorder_);
-    recorder_.reset();
+void Daemon::start_recording() {
+  if (config_.log)
+    record_to({.name = *config_.log, .open = [path = *config_.log] { return open_log(path); }});
+  if (config_.ring) record_in_ring(*config_.ring);
+  pipeline_.record_by([this](const Pipeline::Event& event) {
+    for (const auto& recorder : recorders_) recorder->take(event);
+  });
+}
+
+// Localization goes on without it.
+void Daemon::record_in_ring(const RingSettings& settings) {
+  try {
+    const auto ring = std::make_shared<io::LogRing>(settings.folder, settings.size_mib << 20U);
+    record_to({.name = settings.folder,
+               .open = [ring] { return ring->open_next(); },
+               .file_bytes = ring->file_bytes()});
+  } catch (const io::Error& error) {
+    log_(fmt::format("{}; the last drive is not kept", error.what()));
   }
+}
+
+void Daemon::record_to(LogRecorder::Setup setup) {
+  setup.description = config_.description();
+  setup.snapshot = [this] { return take_snapshot(config_, pipeline_); };
+  const std::string name = setup.name.string();
+  auto recorder = std::make_unique<LogRecorder>(std::move(setup));
+  if (const auto failure = recorder->take_failure()) {
+    log_(*failure);
+    return;
+  }
+  recorders_.push_back(std::move(recorder));
+  pipeline_.session().attach(*recorders_.back());
+  log_(fmt::format("recording into {}", name));
+}
+
+void Daemon::record() {
+  std::erase_if(recorders_, [this](const auto& recorder) {
+    recorder->advance(loop_.now_s());
+    const auto failure = recorder->take_failure();
+    if (!failure) return false;
+    log_(*failure);
+    pipeline_.session().detach(*recorder);
+    return true;
+  });
 }
 
 }  // namespace groma::daemon

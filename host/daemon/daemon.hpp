@@ -73,6 +73,9 @@ class Daemon {
   [[nodiscard]] Status status() const;
   void publish_line(std::string_view line);
   void request_times();
+  void start_recording();
+  void record_in_ring(const RingSettings& settings);
+  void record_to(LogRecorder::Setup setup);
   void record();
   // The text of /metrics.
   [[nodiscard]] std::string_view metrics();
@@ -87,7 +90,7 @@ class Daemon {
   std::vector<std::unique_ptr<Output>> outputs_;
   PoseServer* pose_server_ = nullptr;  // one of them
   std::unique_ptr<WebServer> web_server_;
-  std::unique_ptr<LogRecorder> recorder_;
+  std::vector<std::unique_ptr<LogRecorder>> recorders_;
   std::optional<model::Calibration> known_;   // of the file, until open()
   std::optional<SiteCalibrator> calibrator_;  // from open() on
   std::unique_ptr<LastPoseFile> last_pose_;

@@ -198,6 +198,13 @@ void Localizer::remove_waiting_until(const filter::MotionInput& input) {
   ahead_.erase(ahead_.begin(), std::upper_bound(ahead_.begin(), ahead_.end(), input, comes_before));
 }
 
+void Localizer::archive(model::StateArchive& state) {
+  state(setup_.tags, setup_.calibration);
+  if (state.reads()) make_tracker();
+  state(*tracker_, next_start_, ahead_, last_odometry_s_, paused_until_s_, clock_s_, times_suspect_,
+        prediction_, predicted_since_s_, last_propagated_, implausible_);
+}
+
 void Localizer::make_tracker() {
   tracker_ = std::make_unique<filter::Tracker>(setup_.surface, setup_.tags, setup_.calibration, setup_.filter,
                                                setup_.tracker);

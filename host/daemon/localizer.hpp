@@ -23,6 +23,7 @@
 #include "host/filter/tracker.hpp"
 #include "host/model/calibration.hpp"
 #include "host/model/pose.hpp"
+#include "host/model/state_archive.hpp"
 #include "host/model/surface.hpp"
 #include "host/model/types.hpp"
 
@@ -106,6 +107,9 @@ class Localizer : public MeasurementSink {
   // Samples of odometry and other sensors that were dropped as physically impossible.
   [[nodiscard]] std::uint64_t implausible() const noexcept { return implausible_; }
   [[nodiscard]] const filter::Filter& filter() const noexcept { return tracker_->filter().filter(); }
+
+  // Of a localizer with the same surface and configuration; tags and calibration are part of it.
+  void archive(model::StateArchive& state);
 
  private:
   using Ahead = std::vector<filter::MotionInput>;

@@ -19,39 +19,63 @@ Pipeline::Pipeline(const Config& config, Log log, Localizer::OnPose on_pose, Loc
   node_reports_.resize(config.nodes.size());
 }
 
-void Pipeline::node_bytes(std::size_t node, std::span<const std::uint8_t> bytes, double now_s) {
-  now_s_ = now_s;
-  session_.node_bytes(node, bytes, now_s);
-  session_.advance(now_s);
+void Pipeline::take(Event event) {
+  if (on_event_) on_event_(event);
+  std::visit([this](auto& of) { process(of); }, event);
 }
 
 // The pose first; then the filter's work on the measurements that have waited.
-void Pipeline::robot_bytes(std::span<const std::uint8_t> bytes, double now_s, std::size_t robot) {
-  now_s_ = now_s;
-  session_.robot_bytes(bytes, now_s, robot);
-  session_.advance(now_s);
+void Pipeline::process(const io::LinkBytes& bytes) {
+  now_s_ = bytes.now_s;
+  if (is_node(bytes.link)) {
+    session_.node_bytes(bytes.link - 1, bytes.bytes, now_s_);
+  } else if (robot_of(bytes.link) < config_.robot_links()) {
+    session_.robot_bytes(bytes.bytes, now_s_, robot_of(bytes.link));
+  }
+  session_.advance(now_s_);
 }
 
-void Pipeline::advance(double now_s) {
-  now_s_ = now_s;
-  session_.advance(now_s);
+void Pipeline::process(const io::LinkReopened& reopened) {
+  if (is_node(reopened.link)) {
+    session_.node_reopened(reopened.link - 1);
+  } else if (robot_of(reopened.link) < config_.robot_links()) {
+    session_.robot_reopened(robot_of(reopened.link));
+  }
 }
 
-void Pipeline::adopt(model::Calibration calibration, const std::optional<filter::Start>& start) {
+void Pipeline::process(const io::LoopTick& tick) {
+  now_s_ = tick.now_s;
+  session_.advance(now_s_);
+}
+
+void Pipeline::process(Adoption& adoption) {
   ++adopted_;
-  if (localizer_) return localizer_->adopt(std::move(calibration), config_.tags);
-  frame_ = calibration.frame;
-  const std::size_t anchors = calibration.anchors.size();
+  if (localizer_) return localizer_->adopt(std::move(adoption.calibration), std::move(adoption.tags));
+  frame_ = adoption.calibration.frame;
+  const std::size_t anchors = adoption.calibration.anchors.size();
+  make_localizer(std::move(adoption.tags), std::move(adoption.calibration));
+  if (adoption.start) localizer_->start_at_next_odometry(*adoption.start);
+  log_(fmt::format("localizes with model {} by {} of {} calibrated anchors; searching for the pose",
+                   filter::model_name(config_.model), localizer_->filter().anchors(), anchors));
+}
+
+void Pipeline::make_localizer(std::vector<model::Tag> tags, model::Calibration calibration) {
   localizer_.emplace(
       Localizer::Setup{.surface = config_.surface,
-                       .tags = config_.tags,
+                       .tags = std::move(tags),
                        .calibration = std::move(calibration),
                        .filter = config_.filter_config()},
       [this](const PoseEstimate& pose) { take_pose(pose); }, on_settled_);
   session_.attach(*localizer_);
-  if (start) localizer_->start_at_next_odometry(*start);
-  log_(fmt::format("localizes with model {} by {} of {} calibrated anchors; searching for the pose",
-                   filter::model_name(config_.model), localizer_->filter().anchors(), anchors));
+}
+
+void Pipeline::archive(model::StateArchive& state) {
+  bool localizes = localizer_.has_value();
+  state(session_, frame_, adopted_, now_s_, pose_state_, last_pose_s_, logged_implausible_, has_finding_,
+        localizes);
+  if (!localizes) return;
+  if (!localizer_) make_localizer(config_.tags, {});
+  state(*localizer_);
 }
 
 void Pipeline::take_pose(const PoseEstimate& pose) {

@@ -1,6 +1,6 @@
 // What gromad computes: bytes of the links in, poses out. It opens no device, reads no clock and starts no
 // thread: the same calls give the same poses. A calibration, whatever thread has solved it, enters by adopt()
-// alone.
+// alone. Each call is one event; a recording of them is replayed by take().
 #pragma once
 
 #include <cstddef>
@@ -11,18 +11,32 @@
 #include <string>
 #include <string_view>
 #include <utility>
+#include <variant>
 #include <vector>
 
 #include "host/daemon/config.hpp"
 #include "host/daemon/localizer.hpp"
 #include "host/daemon/pose_message.hpp"
 #include "host/daemon/session.hpp"
+#include "host/io/log_event.hpp"
 #include "host/model/calibration.hpp"
+#include "host/model/state_archive.hpp"
 
 namespace groma::daemon {
 
 class Pipeline {
  public:
+  // Localizes by this calibration and these tags from now on: the first one starts, another one continues
+  // from the present pose. start: a pose that the first one's search begins with.
+  struct Adoption {
+    model::Calibration calibration;
+    std::vector<model::Tag> tags;
+    std::optional<filter::Start> start;
+
+    void archive(model::StateArchive& state) { state(calibration, tags, start); }
+  };
+  using Event = std::variant<io::LinkBytes, io::LinkReopened, io::LoopTick, io::LoopFlush, Adoption>;
+  using OnEvent = std::function<void(const Event&)>;
   // Receives one line for each event that a user should know of.
   using Log = std::function<void(std::string_view)>;
   // The period of log_faults(), and the time without a pose after which state() says so.
@@ -33,21 +47,33 @@ class Pipeline {
   Pipeline(const Pipeline&) = delete;
   Pipeline& operator=(const Pipeline&) = delete;
 
+  // Takes one event; the functions below do nothing else. A link that is not configured is ignored.
+  void take(Event event);
+  // Receives each event before it is taken.
+  void record_by(OnEvent on_event) { on_event_ = std::move(on_event); }
+
   // Bytes that arrived at now_s (host time), which never decreases in any of the calls. Poses come before the
   // calls return, and without the heap. `robot` is one of the robot's links, from 0.
-  void node_bytes(std::size_t node, std::span<const std::uint8_t> bytes, double now_s);
-  void robot_bytes(std::span<const std::uint8_t> bytes, double now_s, std::size_t robot = 0);
+  void node_bytes(std::size_t node, std::span<const std::uint8_t> bytes, double now_s) {
+    take(io::LinkBytes{node + 1, bytes, now_s});
+  }
+  void robot_bytes(std::span<const std::uint8_t> bytes, double now_s, std::size_t robot = 0) {
+    take(io::LinkBytes{robot_link(robot), bytes, now_s});
+  }
   // After a link was opened again.
-  void node_reopened(std::size_t node) { session_.node_reopened(node); }
-  void robot_reopened(std::size_t robot = 0) { session_.robot_reopened(robot); }
+  void node_reopened(std::size_t node) { take(io::LinkReopened{node + 1}); }
+  void robot_reopened(std::size_t robot = 0) { take(io::LinkReopened{robot_link(robot)}); }
   // Passes on the measurements that have waited for long enough; to be called each few ms.
-  void advance(double now_s);
+  void advance(double now_s) { take(io::LoopTick{now_s}); }
   // Passes on all of them, at the end.
-  void flush() { session_.flush(); }
+  void flush() { take(io::LoopFlush{}); }
+  // With the tags of `config`.
+  void adopt(model::Calibration calibration, const std::optional<filter::Start>& start = std::nullopt) {
+    take(Adoption{std::move(calibration), config_.tags, start});
+  }
 
-  // Localizes by this calibration, and the tags of `config`, from now on: the first one starts, another one
-  // continues from the present pose. start: a pose that the first one's search begins with.
-  void adopt(model::Calibration calibration, const std::optional<filter::Start>& start = std::nullopt);
+  // All that later poses depend on, of a pipeline with the same configuration.
+  void archive(model::StateArchive& state);
 
   // For other receivers of its measurements.
   [[nodiscard]] Session& session() noexcept { return session_; }
@@ -65,6 +91,23 @@ class Pipeline {
   void log_faults();
 
  private:
+  // Numbers of links, as in io::LinkBytes.
+  [[nodiscard]] std::size_t robot_link(std::size_t robot) const noexcept {
+    return robot == 0 ? 0 : session_.node_count() + robot;
+  }
+  [[nodiscard]] bool is_node(std::size_t link) const noexcept {
+    return link > 0 && link <= session_.node_count();
+  }
+  [[nodiscard]] std::size_t robot_of(std::size_t link) const noexcept {
+    return link == 0 ? 0 : link - session_.node_count();
+  }
+
+  void process(const io::LinkBytes& bytes);
+  void process(const io::LinkReopened& reopened);
+  void process(const io::LoopTick& tick);
+  void process(const io::LoopFlush& /*flush*/) { session_.flush(); }
+  void process(Adoption& adoption);
+  void make_localizer(std::vector<model::Tag> tags, model::Calibration calibration);
   void take_pose(const PoseEstimate& pose);
   void log_duplicate_tag();
 
@@ -72,6 +115,7 @@ class Pipeline {
   Log log_;
   Localizer::OnPose on_pose_;
   Localizer::OnPose on_settled_;
+  OnEvent on_event_;
   Session session_;
   std::optional<Localizer> localizer_;
   std::string frame_ = "map";

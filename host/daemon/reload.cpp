@@ -24,7 +24,7 @@ bool has_same_tags(const Config& a, const Config& b) {
 // Whether this top-level key, which has changed, may change while gromad runs.
 bool is_live(const std::string& key, const Config& current, const Config& next) {
   if (!is_from_file(current.calibration) || !is_from_file(next.calibration)) return false;
-  return key == "calibration" || (key == "tags" && has_same_tags(current, next) && !current.log);
+  return key == "calibration" || (key == "tags" && has_same_tags(current, next));
 }
 
 // The configuration's place comes first where the error has no line.

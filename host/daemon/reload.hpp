@@ -20,7 +20,7 @@ namespace groma::daemon {
 [[nodiscard]] std::vector<std::string> check_config(const std::filesystem::path& path);
 
 // What gromad may change while it runs: with `calibration: {file: ...}` the calibration, and the lever arms
-// of the same tags unless a recording describes them.
+// of the same tags.
 struct Reload {
   Config config;
   std::optional<model::Calibration> calibration;

@@ -21,6 +21,7 @@
 #include <string_view>
 #include <variant>
 
+#include "host/model/state_archive.hpp"
 #include "host/model/types.hpp"
 
 namespace groma::daemon {
@@ -56,6 +57,8 @@ class RobotInput {
 
   // Discards an incomplete line, after the link was reopened.
   void reset();
+
+  void archive(model::StateArchive& state) { state(waiting_, read_, too_long_, counters_, last_problem_); }
 
   [[nodiscard]] const RobotInputCounters& counters() const noexcept { return counters_; }
   // What was wrong with the last dropped line; empty if none was dropped.

@@ -32,6 +32,7 @@
 #include "host/daemon/robot_clock.hpp"
 #include "host/daemon/robot_input.hpp"
 #include "host/link/report_decoder.hpp"
+#include "host/model/state_archive.hpp"
 #include "host/model/types.hpp"
 
 namespace groma::daemon {
@@ -83,6 +84,8 @@ class Session {
       return status_;
     }
     [[nodiscard]] const std::optional<groma_Counters>& node_counters() const noexcept { return counters_; }
+
+    void archive(model::StateArchive& state) { state(decoder_, hello_, status_, counters_); }
 
    private:
     friend class Session;
@@ -145,6 +148,14 @@ class Session {
   [[nodiscard]] const SessionCounters& counters() const noexcept { return counters_; }
   // Reports lost in nodes and links together.
   [[nodiscard]] std::uint64_t frames_lost() const noexcept;
+
+  // Of a session with the same nodes and configuration. Sinks are not part of it.
+  void archive(model::StateArchive& state) {
+    for (Node& node : nodes_) state(node);
+    state(robots_, robot_lines_dropped_, robot_clock_, merger_, last_odometry_s_, pose_times_, sensor_times_,
+          times_suspect_, timestamps_dropped_, dropped_since_s_, drop_reported_, next_late_report_s_,
+          waiting_, serial_, now_s_, passed_until_s_, counters_);
+  }
 
  private:
   using Sample =

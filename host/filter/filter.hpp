@@ -138,6 +138,11 @@ class Filter {
     std::array<double, kMaxAnchors> last_answer_s{};  // time of the last range in each slot
     std::uint64_t exchanges = 0;
     Counters counters{};
+
+    void archive(model::StateArchive& state) {
+      state(static_cast<MotionState&>(*this), parameters, gate, slip_watch, tuning, sensors, covariance,
+            started, last_answer_s, exchanges, counters);
+    }
   };
   // Number of anchor exchanges that restore() can undo. A size; after as many, an absent anchor's covariance
   // with the core counts as zero.
@@ -191,6 +196,9 @@ class Filter {
     return now_.exchanges - snapshot.exchanges <= kMaxExchanges;
   }
   void restore(const Snapshot& snapshot) noexcept;
+
+  // Of a filter with the same calibration and configuration.
+  void archive(model::StateArchive& state) { state(now_, slots_, memories_, exchanges_); }
 
   // For tests and diagnostics.
   [[nodiscard]] const CoreVector& core() const noexcept { return now_.core; }

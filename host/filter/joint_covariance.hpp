@@ -16,6 +16,7 @@
 #include "host/filter/range_measurement.hpp"
 #include "host/filter/site.hpp"
 #include "host/filter/state.hpp"
+#include "host/model/state_archive.hpp"
 
 namespace groma::filter {
 
@@ -142,6 +143,12 @@ class JointCovariance {
   // anchors with the core have changed since begin_absence().
   [[nodiscard]] CoreMatrix absence() noexcept;
   void begin_absence() noexcept;
+
+  void archive(model::StateArchive& state) {
+    state(estimated_, layout_, size_, stride_, absent_rows_, lever_arm_variance_m2_, range_bias_variance_m2_,
+          frame_covariance_, core_, cross_, motion_, moved_, same_sample_, range_bias_scale_,
+          ground_variances_, ground_scale_, lower_, estimates_, considered_);
+  }
 
   [[nodiscard]] const CoreMatrix& core() const noexcept { return core_; }
   // Full matrices, for tests and diagnostics.

@@ -58,6 +58,16 @@ class OrderedFilter {
   [[nodiscard]] std::size_t reordered() const noexcept { return reordered_; }
   [[nodiscard]] const Filter& filter() const noexcept { return filter_; }
 
+  // As Filter's.
+  void archive(model::StateArchive& state) {
+    state(filter_, inputs_, first_, first_checkpoint_, checkpoint_count_, newest_s_, late_sample_, refused_,
+          reordered_);
+    for (std::size_t i = 0; i < checkpoint_count_; ++i) {
+      Checkpoint& at = checkpoint(i);
+      state(at.filter, at.next, at.t_s);
+    }
+  }
+
  private:
   using Input = std::variant<Start, model::OdometrySample, model::RangeSample, model::SensorSample>;
   // The filter before input number `next`; inputs are numbered in their order.

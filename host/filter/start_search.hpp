@@ -17,6 +17,7 @@
 #include "host/filter/config.hpp"
 #include "host/filter/range_measurement.hpp"
 #include "host/model/pose.hpp"
+#include "host/model/state_archive.hpp"
 
 namespace groma::filter {
 
@@ -59,6 +60,11 @@ class StartSearch {
   // Cost of a pose at the newest input, in which the cost of each anchor grows only logarithmically: one
   // obstacle makes all ranges of an anchor NLOS, to all tags, for as long as it is in the way.
   [[nodiscard]] double cautious_cost(const model::PlanarPose& pose) noexcept;
+
+  // As Filter's; the result of the last search is not part of it.
+  void archive(model::StateArchive& state) {
+    state(seen_, first_, count_, last_taken_s_, now_, sample_, t_s_, settled_);
+  }
 
   [[nodiscard]] double t_s() const noexcept { return t_s_; }
   [[nodiscard]] std::size_t ranges() const noexcept { return count_; }

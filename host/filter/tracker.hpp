@@ -92,6 +92,14 @@ class Tracker {
   // Number of clock steps of the inputs.
   [[nodiscard]] std::size_t clock_steps() const noexcept { return clock_steps_; }
 
+  // As Filter's.
+  void archive(model::StateArchive& state) {
+    state(filter_, search_, map_watch_, by_odometry_, state_, reason_, newest_s_, last_odometry_s_,
+          last_used_s_, last_search_s_, searches_left_, earned_s_, no_place_, no_place_ranges_, disagrees_,
+          agrees_, confirmed_, judged_s_, refused_, judged_, strange_s_, strange_, tags_, relocations_,
+          clock_steps_);
+  }
+
  private:
   static constexpr double kNotYet_s = -std::numeric_limits<double>::infinity();
 

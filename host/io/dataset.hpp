@@ -38,6 +38,8 @@ inline constexpr std::size_t kMaxOdometryOutOfOrder = 4;
 struct DescriptionFile {
   std::string name;
   std::string text;
+
+  bool operator==(const DescriptionFile&) const = default;
 };
 
 // Facts about a run that was read from a log.

@@ -83,6 +83,7 @@ std::string InputFiles::read(const std::filesystem::path& path) {
   const auto provided = provided_.find(path);
   std::string text = provided != provided_.end() ? provided->second : read_file(path);
   digest_by_name_[path.filename().string()] = sha256(text);
+  if (keeps_texts_) provided_.emplace(path, text);
   return text;
 }
 

@@ -5,6 +5,7 @@
 #include <map>
 #include <string>
 #include <string_view>
+#include <utility>
 
 namespace groma::io {
 
@@ -18,11 +19,19 @@ namespace groma::io {
 // Reads files and stores their digests.
 class InputFiles {
  public:
+  using Texts = std::map<std::filesystem::path, std::string>;
+
+  InputFiles() = default;
+  // Keeps the texts that it reads; those given take precedence over the disk.
+  explicit InputFiles(Texts given) : provided_(std::move(given)), keeps_texts_(true) {}
+
   // Like read_file(); a provided text takes precedence over the disk.
   [[nodiscard]] std::string read(const std::filesystem::path& path);
 
   // Sets the text of a file that does not exist on the disk.
   void provide(const std::filesystem::path& path, std::string text);
+  // The texts given, provided and kept.
+  [[nodiscard]] const Texts& texts() const noexcept { return provided_; }
 
   // One digest of all files read so far, equal to that of `sha256sum FILES | sha256sum` with the bare file
   // names in alphabetical order. Files with the same name count once.
@@ -30,7 +39,8 @@ class InputFiles {
 
  private:
   std::map<std::string, std::string> digest_by_name_;
-  std::map<std::filesystem::path, std::string> provided_;
+  Texts provided_;
+  bool keeps_texts_ = false;
 };
 
 }  // namespace groma::io

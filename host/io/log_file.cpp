@@ -268,6 +268,11 @@ void take(const groma_LogFile& in, std::vector<DescriptionFile>& out) {
   out.back().text.append(reinterpret_cast<const char*>(in.content.bytes), in.content.size);
 }
 
+// Those of log_event.hpp.
+bool is_event(pb_size_t tag) {
+  return tag >= groma_LogRecord_state_tag && tag <= groma_LogRecord_digest_tag;
+}
+
 // False if the record is invalid.
 bool take(const groma_LogRecord& record, bool with_samples, std::vector<LogSection>& sections) {
   if (record.which_body == groma_LogRecord_start_tag) {
@@ -276,7 +281,7 @@ bool take(const groma_LogRecord& record, bool with_samples, std::vector<LogSecti
     section.unix_time_ns = record.body.start.unix_time_ns;
     return true;
   }
-  if (sections.empty()) return false;
+  if (sections.empty()) return is_event(record.which_body);
   LogSection& section = sections.back();
   switch (record.which_body) {
     case groma_LogRecord_file_tag:
@@ -301,7 +306,7 @@ bool take(const groma_LogRecord& record, bool with_samples, std::vector<LogSecti
       return !with_samples || take(record.body.zero_velocities,
                                    model::samples_of<model::ZeroVelocitySample>(section.samples.sensors));
     default:
-      return false;
+      return is_event(record.which_body);
   }
 }
 
@@ -366,13 +371,11 @@ struct LogEncoder::Records {
 LogEncoder::LogEncoder() : records_(std::make_unique<Records>()) {}
 LogEncoder::~LogEncoder() = default;
 
-void LogEncoder::begin_section(std::span<const DescriptionFile> description, std::uint64_t unix_time_ns) {
+void LogEncoder::begin_section(std::span<const DescriptionFile> description, std::uint64_t unix_time_ns,
+                               bool continues) {
   flush();
+  put(SectionStart{program_version(), unix_time_ns, continues});
   groma_LogRecord record = groma_LogRecord_init_zero;
-  record.which_body = groma_LogRecord_start_tag;
-  program_version().copy(record.body.start.program_version, sizeof(record.body.start.program_version) - 1);
-  record.body.start.unix_time_ns = unix_time_ns;
-  records_->append(record, bytes_);
   for (const DescriptionFile& file : description) {
     for (std::size_t begin = 0; begin < file.text.size(); begin += sizeof(record.body.file.content.bytes)) {
       record = groma_LogRecord_init_zero;

@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "host/io/dataset.hpp"
+#include "host/io/log_event.hpp"
 #include "host/model/types.hpp"
 
 namespace groma::io {
@@ -25,16 +26,22 @@ class LogEncoder {
   LogEncoder& operator=(const LogEncoder&) = delete;
 
   // Begins a section with the site's description. Times of different sections are not comparable.
-  void begin_section(std::span<const DescriptionFile> description, std::uint64_t unix_time_ns);
+  // continues: the same drive in another file, whose times are comparable.
+  void begin_section(std::span<const DescriptionFile> description, std::uint64_t unix_time_ns,
+                     bool continues = false);
 
   void put(const model::RangeSample& range);
   void put(const model::OdometrySample& sample);
   void put(const model::PoseSample& pose);  // a prior
   void put(const model::SensorSample& sample);
+  // Appended at once.
+  void put(const LogEvent& event) { append_event(event, bytes_); }
   void flush();
 
   // Returns the bytes of the complete frames and clears them.
   [[nodiscard]] std::string take();
+  // The same by exchange with an empty string, whose capacity is used again.
+  void take(std::string& empty) { bytes_.swap(empty); }
   [[nodiscard]] std::size_t size() const noexcept { return bytes_.size(); }
 
  private:

@@ -11,6 +11,7 @@
 
 #include "host/model/anchor_parameters.hpp"
 #include "host/model/antenna_pattern.hpp"
+#include "host/model/state_archive.hpp"
 #include "host/model/types.hpp"
 
 namespace groma::model {
@@ -36,6 +37,11 @@ struct AnchorCalibration {
   std::optional<double> mirror_ratio;  // cost of the best solution over that of its mirror side, 0..1
   AnchorVerdict verdict = AnchorVerdict::kNoData;
   std::string advice;  // empty when no action is needed
+
+  void archive(StateArchive& state) {
+    state(id, position_m, pairs, covariance, ranges_used, ranges_rejected, held_out_rms_m,
+          held_out_robust_rms_m, mirror_ratio, verdict, advice);
+  }
 };
 
 // Whether the anchor has a finite position and a finite covariance of the full size.
@@ -88,6 +94,11 @@ struct Calibration {
   Verdict verdict = Verdict::kUnusable;
   std::string input_sha256;
   std::string program_version;
+
+  void archive(StateArchive& state) {
+    state(frame, anchors, tags, common_frame_covariance, range_delay_s, range_delay_sigma_s, range_noise,
+          verdict, input_sha256, program_version);
+  }
 };
 
 // Null if the calibration has no anchor with this id.

@@ -38,6 +38,7 @@ model: inflated
 pose_stream: {address: "::1", port: 4000}
 web: {port: 4001}
 log: drive.glog
+ring: {folder: kept, size_mib: 64}
 last_pose: last-pose.json
 reorder_lag_s: 0.3
 speed: 4
@@ -168,6 +169,8 @@ TEST_F(ConfigSchema, AndParserRefuseTheSameTypesAndBounds) {
       {"reorder_lag_s: 0.3", "reorder_lag_s: 0.6"},
       {"speed: 4", "spede: 4"},
       {"speed: 4", "speed: 0"},
+      {"size_mib: 64", "size_mib: 15"},
+      {"folder: kept, ", ""},
       {"robot_socket: robot.sock\n", ""},
       {"robot_socket: robot.sock\n", "robot: {listen: {}}\n"},
       {"robot_socket: robot.sock\n", "robot: {}\n"},

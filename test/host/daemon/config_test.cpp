@@ -55,6 +55,21 @@ class ConfigFile : public ::testing::Test {
   TemporaryFolder folder_;
 };
 
+TEST_F(ConfigFile, IsReadAgainFromTheTextsThatItKept) {
+  const std::filesystem::path path =
+      folder_.write("gromad.yaml", kGood + std::string("ring: {folder: kept}\n"));
+  const Config config = read_config(path);
+  ASSERT_TRUE(config.ring);
+  EXPECT_EQ(config.ring->folder, folder_ / "kept");
+  EXPECT_EQ(config.ring->size_mib, 256U);
+  std::filesystem::remove(path);
+  const ConfigReading again = parse_config(path, config.files);
+  EXPECT_TRUE(again.problems.empty());
+  EXPECT_EQ(again.config.values, config.values);
+  EXPECT_EQ(again.config.files, config.files);
+  EXPECT_FALSE(parse_config(path).problems.empty());
+}
+
 TEST_F(ConfigFile, ReadsLearnAndLog) {
   const auto with = [&](const std::string& calibration, const std::string& more = "") {
     std::string text = kGood;

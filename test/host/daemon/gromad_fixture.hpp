@@ -12,6 +12,7 @@
 #include <functional>
 #include <optional>
 #include <string>
+#include <string_view>
 #include <thread>
 #include <utility>
 #include <vector>
@@ -35,6 +36,7 @@ using test::SimulatedSite;
 using test::StreamClient;
 
 inline constexpr double kSpeed = 2.0;
+inline constexpr std::string_view kPoseBegin = R"({"class":"POSE")";
 
 class GromadTest : public ::testing::Test {
  protected:
@@ -84,6 +86,19 @@ speed: {}
       if (object.at("class") == "POSE" && object.at("state") == state) ++n;
     }
     return n;
+  }
+
+  // The POSE lines that the client received, byte for byte.
+  [[nodiscard]] std::string poses_received() {
+    client_->read();
+    std::string lines;
+    const std::string& text = client_->text();
+    for (std::size_t begin = 0, end = 0; (end = text.find('\n', begin)) != std::string::npos;
+         begin = end + 1) {
+      if (text.compare(begin, kPoseBegin.size(), kPoseBegin) == 0)
+        lines += text.substr(begin, end + 1 - begin);
+    }
+    return lines;
   }
 
   [[nodiscard]] double largest_error_m(std::size_t skip) const {

@@ -114,7 +114,9 @@ class StreamClient {
   explicit StreamClient(std::uint16_t port) : client_(port) {}
 
   std::vector<nlohmann::json> read() {
-    text_ += client_.receive();
+    const std::string received = client_.receive();
+    text_ += received;
+    all_ += received;
     std::vector<nlohmann::json> objects;
     std::size_t end = 0;
     while ((end = text_.find('\n')) != std::string::npos) {
@@ -124,9 +126,13 @@ class StreamClient {
     return objects;
   }
 
+  // All that was received.
+  [[nodiscard]] const std::string& text() const noexcept { return all_; }
+
  private:
   TcpClient client_;
-  std::string text_;
+  std::string text_;  // an incomplete line
+  std::string all_;
 };
 
 // The port of that server, once gromad's log names it.

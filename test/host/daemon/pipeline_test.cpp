@@ -4,7 +4,9 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
+#include <map>
 #include <memory>
 #include <string>
 #include <vector>
@@ -135,6 +137,55 @@ TEST_F(PipelineTest, LogsTwoLinksThatReportOneTag) {
   EXPECT_THAT(log_,
               ElementsAre("tag-1 and tag-1-again: both report tag 1, so that its ranges count twice; remove "
                           "one of them from `nodes`"));
+}
+
+// Also before the first calibration, the first odometry and the first range.
+TEST_F(PipelineTest, ContinuesFromAStateThatWasReadBackBitForBit) {
+  const auto arrivals = drive_.arrivals(5.0);
+  const auto whole = make();
+  constexpr std::array<std::size_t, 9> kBegins{0, 1, 2, 3, 4, 50, 51, 200, 301};
+  std::map<std::size_t, std::string> states;  // before these arrivals
+  std::vector<std::size_t> poses;
+  for (std::size_t i = 0; i < arrivals.size(); ++i) {
+    poses.push_back(poses_.size());
+    if (std::find(kBegins.begin(), kBegins.end(), i) != kBegins.end()) {
+      model::StateArchive archive(states[i]);
+      archive(*whole);
+    }
+    if (i == 1) whole->adopt(drive_.surveyed());
+    give(*whole, arrivals[i]);
+  }
+  const std::vector<PoseEstimate> expected = poses_;
+  ASSERT_GT(expected.size(), 400U);
+  for (const auto& [begin, state] : states) {
+    poses_.clear();
+    const auto pipeline = make();
+    model::StateArchive archive{std::string_view(state)};
+    archive(*pipeline);
+    EXPECT_TRUE(archive.at_end());
+    for (std::size_t i = begin; i < arrivals.size(); ++i) {
+      if (i == 1) pipeline->adopt(drive_.surveyed());
+      give(*pipeline, arrivals[i]);
+    }
+    ASSERT_EQ(poses_.size(), expected.size() - poses[begin]) << begin;
+    for (std::size_t i = 0; i < poses_.size(); ++i) {
+      ASSERT_EQ(pose_line(poses_[i], "map", "schmidt"),
+                pose_line(expected[poses[begin] + i], "map", "schmidt"))
+          << begin << ' ' << i;
+    }
+  }
+}
+
+TEST_F(PipelineTest, RefusesAStateThatIsNotWhole) {
+  const auto pipeline = make();
+  pipeline->adopt(drive_.surveyed());
+  std::string state;
+  model::StateArchive(state).operator()(*pipeline);
+  for (std::size_t size = 0; size < state.size(); size += 1 + state.size() / 50) {
+    const auto other = make();
+    model::StateArchive archive{std::string_view(state).substr(0, size)};
+    EXPECT_THROW(archive(*other), model::StateArchive::Mismatch) << size;
+  }
 }
 
 TEST_F(PipelineTest, ContinuesWithTheCalibrationThatItAdopts) {

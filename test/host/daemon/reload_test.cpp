@@ -123,13 +123,5 @@ TEST_F(ReloadTest, RefusesTheWholeIfOneKeyNeedsARestart) {
               ElementsAre(HasSubstr("its frame is 'other', not 'map'")));
 }
 
-TEST_F(ReloadTest, KeepsTheLeverArmsThatARecordingDescribes) {
-  write(kSmallSite + std::string("log: drive.glog\n"));
-  const Config current = read_config(file_);
-  EXPECT_THAT(prepare_reload(current, "map").problems, IsEmpty());
-  write(with("[0.3, 0.2, 0.5]", "[0.3, 0.2, 0.6]") + "log: drive.glog\n");
-  EXPECT_THAT(prepare_reload(current, "map").problems, ElementsAre(HasSubstr("tags has changed")));
-}
-
 }  // namespace
 }  // namespace groma::daemon
