@@ -11,8 +11,10 @@
 #include <string>
 #include <string_view>
 #include <utility>
+#include <vector>
 
 #include "host/daemon/config.hpp"
+#include "host/daemon/input_watch.hpp"
 #include "host/daemon/localizer.hpp"
 #include "host/daemon/pose_message.hpp"
 #include "host/daemon/session.hpp"
@@ -71,6 +73,8 @@ class Pipeline {
   Localizer::OnPose on_pose_;
   Localizer::OnPose on_settled_;
   Session session_;
+  InputWatch watch_;
+  std::vector<AnchorStatus> anchors_;  // of the calibration in use
   std::optional<Localizer> localizer_;
   std::string frame_ = "map";
   std::uint64_t adopted_ = 0;

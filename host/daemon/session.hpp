@@ -83,6 +83,8 @@ class Session {
       return status_;
     }
     [[nodiscard]] const std::optional<groma_Counters>& node_counters() const noexcept { return counters_; }
+    // Of its last range.
+    [[nodiscard]] std::optional<model::NodeId> tag_id() const noexcept { return tag_id_; }
 
    private:
     friend class Session;
@@ -98,6 +100,7 @@ class Session {
     std::optional<groma_Hello> hello_;
     std::optional<groma_NetworkStatus> status_;
     std::optional<groma_Counters> counters_;
+    std::optional<model::NodeId> tag_id_;
   };
 
   explicit Session(SessionConfig config = {});
