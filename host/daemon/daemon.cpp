@@ -244,11 +244,14 @@ void Daemon::publish_status() {
 Status Daemon::status() const {
   Status status = pipeline_.status(loop_.now_s());
   if (calibrator_->solving()) status.state = "CALIBRATING";
+  status.pose_latency_p50_s = pose_latency_.quantile_s(0.5);
+  status.pose_latency_p99_s = pose_latency_.quantile_s(0.99);
   for (std::size_t i = config_.nodes.size(); i < inputs_.size(); ++i)
     status.robots.push_back(link_status(*inputs_[i]));
   for (std::size_t node = 0; node < config_.nodes.size(); ++node) {
     LinkStatus link = link_status(*inputs_.at(node));
     link.round_trip_s = status.links.at(node).round_trip_s;
+    link.node = status.links.at(node).node;
     status.links.at(node) = link;
   }
   return status;

@@ -128,7 +128,8 @@ std::optional<diagnosis::Finding> Localizer::finding() const {
 }
 
 void Localizer::on_range(const model::RangeSample& range) {
-  tracker_->process(in_own_time(range));
+  const filter::RangeResult result = tracker_->process(in_own_time(range));
+  if (setup_.on_range) setup_.on_range(range, result);
 }
 
 void Localizer::on_pose_prior(const model::PoseSample& sample) {

@@ -62,6 +62,8 @@ class Localizer : public MeasurementSink {
     model::Calibration calibration;
     filter::Config filter;
     filter::TrackerConfig tracker = {};
+    // Receives each range, with what the filter did with it; may be empty.
+    std::function<void(const model::RangeSample& range, const filter::RangeResult& result)> on_range = {};
   };
 
   using OnPose = std::function<void(const PoseEstimate&)>;

@@ -18,6 +18,16 @@ std::uint64_t LatencyHistogram::count() const noexcept {
   return std::accumulate(counts_.begin(), counts_.end(), std::uint64_t{0});
 }
 
+std::optional<double> LatencyHistogram::quantile_s(double share) const noexcept {
+  const double below = share * static_cast<double>(count());
+  std::uint64_t up_to = 0;
+  for (std::size_t i = 0; i < kBounds_s.size(); ++i) {
+    up_to += counts_.at(i);
+    if (up_to > 0 && static_cast<double>(up_to) >= below) return kBounds_s.at(i);
+  }
+  return std::nullopt;
+}
+
 void MetricsText::family(std::string_view name, std::string_view type, std::string_view help) {
   name_ = name;
   fmt::format_to(std::back_inserter(text_), "# HELP {0} {1}\n# TYPE {0} {2}\n", name, help, type);

@@ -4,6 +4,7 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <string_view>
 
@@ -19,6 +20,9 @@ class LatencyHistogram {
   void observe(double duration_s) noexcept;
 
   [[nodiscard]] std::uint64_t count() const noexcept;
+  // The upper bound of the bucket with that share of the durations below it, from 0 to 1; nothing if there
+  // are none, or the bucket has no bound.
+  [[nodiscard]] std::optional<double> quantile_s(double share) const noexcept;
   [[nodiscard]] double sum_s() const noexcept { return sum_s_; }
   // Of one bucket alone; the last one is counts()[kBounds_s.size()].
   [[nodiscard]] const auto& counts() const noexcept { return counts_; }

@@ -8,6 +8,22 @@
 #include "host/filter/config.hpp"
 
 namespace groma::daemon {
+namespace {
+
+NodeStatus node_status(const Session::Node& node) {
+  const wire::FrameCounters& frames = node.decoder().frame_counters();
+  NodeStatus status{.frames = frames.frames,
+                    .frames_dropped = std::uint64_t{frames.crc_errors} + frames.version_errors +
+                                      frames.oversize + frames.cobs_errors + frames.truncated,
+                    .bytes_discarded = frames.bytes_discarded,
+                    .ranges = node.decoder().counters().ranges,
+                    .tag_id = node.tag_id()};
+  if (node.hello()) status.hello = &*node.hello();
+  if (node.network_status()) status.network = &*node.network_status();
+  return status;
+}
+
+}  // namespace
 
 Pipeline::Pipeline(const Config& config, Log log, Localizer::OnPose on_pose, Localizer::OnPose on_settled)
     : config_(config),
@@ -17,6 +33,7 @@ Pipeline::Pipeline(const Config& config, Log log, Localizer::OnPose on_pose, Loc
       session_({.reorder_lag_s = config.reorder_lag_s, .log = log_}) {
   for (const NodeLink& node : config.nodes) session_.add_node(node.path.string(), node.baud);
   node_reports_.resize(config.nodes.size());
+  session_.attach(watch_);
 }
 
 void Pipeline::take(Event event) {
@@ -50,6 +67,10 @@ void Pipeline::process(const io::LoopTick& tick) {
 
 void Pipeline::process(Adoption& adoption) {
   ++adopted_;
+  anchors_.clear();
+  for (const model::AnchorCalibration& anchor : adoption.calibration.anchors) {
+    anchors_.push_back({anchor.id, anchor.verdict});
+  }
   if (localizer_) return localizer_->adopt(std::move(adoption.calibration), std::move(adoption.tags));
   frame_ = adoption.calibration.frame;
   const std::size_t anchors = adoption.calibration.anchors.size();
@@ -64,7 +85,9 @@ void Pipeline::make_localizer(std::vector<model::Tag> tags, model::Calibration c
       Localizer::Setup{.surface = config_.surface,
                        .tags = std::move(tags),
                        .calibration = std::move(calibration),
-                       .filter = config_.filter_config()},
+                       .filter = config_.filter_config(),
+                       .on_range = [this](const model::RangeSample& range,
+                                          const filter::RangeResult& result) { watch_.note(range, result); }},
       [this](const PoseEstimate& pose) { take_pose(pose); }, on_settled_);
   session_.attach(*localizer_);
 }
@@ -121,9 +144,15 @@ Status Pipeline::status(double now_s) const {
     const link::ReportCounters& node = session_.node(i).decoder().counters();
     status.dropped += node.messages_malformed + node.reports_repeated + node.ranges_not_ok +
                       node.ranges_out_of_bounds + node.ranges_bad_instant;
-    status.links.push_back(
-        {.link = session_.node(i).name(), .round_trip_s = session_.node(i).decoder().time().round_trip_s()});
+    status.links.push_back({.link = session_.node(i).name(),
+                            .round_trip_s = session_.node(i).decoder().time().round_trip_s(),
+                            .node = node_status(session_.node(i))});
   }
+  status.t_s = session_.robot_time_s(now_s);
+  status.driven_m = watch_.driven_m();
+  status.turned_rad = watch_.turned_rad();
+  status.anchors = anchors_;
+  status.pairs = watch_.pairs();
   return status;
 }
 

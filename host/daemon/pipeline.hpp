@@ -15,6 +15,7 @@
 #include <vector>
 
 #include "host/daemon/config.hpp"
+#include "host/daemon/input_watch.hpp"
 #include "host/daemon/localizer.hpp"
 #include "host/daemon/pose_message.hpp"
 #include "host/daemon/session.hpp"
@@ -117,6 +118,8 @@ class Pipeline {
   Localizer::OnPose on_settled_;
   OnEvent on_event_;
   Session session_;
+  InputWatch watch_;
+  std::vector<AnchorStatus> anchors_;  // of the calibration in use
   std::optional<Localizer> localizer_;
   std::string frame_ = "map";
   std::uint64_t adopted_ = 0;

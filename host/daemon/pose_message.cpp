@@ -8,6 +8,7 @@
 
 #include "host/io/calibration_file.hpp"
 #include "host/io/version.hpp"
+#include "host/link/report_decoder.hpp"
 
 namespace groma::daemon {
 namespace {
@@ -53,6 +54,68 @@ Json state_of(const LinkStatus& link) {
                     {"bus_off", link.can->bus_off},
                     {"restarts", link.can->restarts}};
   return out;
+}
+
+Json json_of(const std::optional<double>& value) {
+  return value ? Json(*value) : Json(nullptr);
+}
+
+std::string_view role_word(const groma_Hello& hello) {
+  switch (link::number_in(hello.role)) {
+    case groma_Role_ROLE_ANCHOR:
+      return "anchor";
+    case groma_Role_ROLE_TAG:
+      return "tag";
+    default:
+      return "unconfigured";
+  }
+}
+
+std::string_view sync_word(const groma_NetworkStatus& network) {
+  switch (link::number_in(network.state)) {
+    case groma_SyncState_SYNC_LOCKED:
+      return "locked";
+    case groma_SyncState_SYNC_COASTING:
+      return "coasting";
+    default:
+      return "searching";
+  }
+}
+
+Json node_of(const NodeStatus& status) {
+  Json out{
+      {"id", nullptr}, {"role", nullptr}, {"network_id", nullptr}, {"version", nullptr}, {"sync", nullptr}};
+  if (status.tag_id) out["id"] = *status.tag_id;
+  if (status.network != nullptr) out["sync"] = sync_word(*status.network);
+  if (status.hello == nullptr) return out;
+  out["id"] = status.hello->id;
+  out["role"] = role_word(*status.hello);
+  out["network_id"] = status.hello->network_id;
+  out["version"] = status.hello->version;
+  if (status.hello->radio_error[0] != '\0') out["radio_error"] = status.hello->radio_error;
+  return out;
+}
+
+Json link_of(const LinkStatus& link) {
+  Json out = state_of(link);
+  out["round_trip_s"] = json_of(link.round_trip_s);
+  out["frames"] = link.node.frames;
+  out["frames_dropped"] = link.node.frames_dropped;
+  out["bytes_discarded"] = link.node.bytes_discarded;
+  out["ranges"] = link.node.ranges;
+  out["node"] = node_of(link.node);
+  return out;
+}
+
+Json pair_of(const PairStatus& pair) {
+  return {
+      {"tag", pair.tag_id},
+      {"anchor", pair.anchor_id},
+      {"ranges", pair.ranges},
+      {"used", pair.used},
+      {"gated", pair.gated},
+      {"range_m", pair.range_m},
+      {"innovation_m", std::isnan(pair.innovation_m2) ? Json(nullptr) : Json(std::sqrt(pair.innovation_m2))}};
 }
 
 }  // namespace
@@ -161,11 +224,13 @@ std::string calibration_line(model::Verdict verdict, std::span<const AnchorProgr
 
 std::string status_line(const Status& status) {
   Json links = Json::array();
-  for (const LinkStatus& link : status.links) {
-    Json object = state_of(link);
-    object["round_trip_s"] = link.round_trip_s ? Json(*link.round_trip_s) : Json(nullptr);
-    links.push_back(std::move(object));
+  for (const LinkStatus& link : status.links) links.push_back(link_of(link));
+  Json anchors = Json::array();
+  for (const AnchorStatus& anchor : status.anchors) {
+    anchors.push_back(Json{{"id", anchor.id}, {"verdict", io::word(anchor.verdict)}});
   }
+  Json pairs = Json::array();
+  for (const PairStatus& pair : status.pairs) pairs.push_back(pair_of(pair));
   Json robots = Json::array();
   for (const LinkStatus& link : status.robots) robots.push_back(state_of(link));
   Json object{{"class", "STATUS"},
@@ -176,7 +241,14 @@ std::string status_line(const Status& status) {
               {"dropped", status.dropped},
               {"links", std::move(links)},
               {"robot", robots.empty() ? Json(nullptr) : robots.front()},
-              {"diagnosis", diagnosis::to_json(status.diagnosis)}};
+              {"diagnosis", diagnosis::to_json(status.diagnosis)},
+              {"t_s", json_of(status.t_s)},
+              {"driven_m", status.driven_m},
+              {"turned_rad", status.turned_rad},
+              {"pose_latency_s",
+               {{"p50", json_of(status.pose_latency_p50_s)}, {"p99", json_of(status.pose_latency_p99_s)}}},
+              {"anchors", std::move(anchors)},
+              {"pairs", std::move(pairs)}};
   if (robots.size() > 1) object["robots"] = std::move(robots);
   return line(object);
 }

@@ -9,12 +9,30 @@
 #include <string_view>
 #include <vector>
 
+#include "groma.pb.h"
 #include "host/daemon/anchor_learner.hpp"
+#include "host/daemon/input_watch.hpp"
 #include "host/daemon/localizer.hpp"
 #include "host/diagnosis/finding.hpp"
 #include "host/link/can_counters.hpp"
 
 namespace groma::daemon {
+
+// What a node's link has carried since the start, and what the node reported of itself.
+struct NodeStatus {
+  std::uint64_t frames = 0;  // intact ones
+  std::uint64_t frames_dropped = 0;
+  std::uint64_t bytes_discarded = 0;  // that belong to no frame
+  std::uint64_t ranges = 0;
+  std::optional<model::NodeId> tag_id{};         // of its last range
+  const groma_Hello* hello = nullptr;            // null: none yet
+  const groma_NetworkStatus* network = nullptr;  // likewise
+};
+
+struct AnchorStatus {
+  model::NodeId id = 0;
+  model::AnchorVerdict verdict{};
+};
 
 // A link. A node's also has its minimum round-trip delay: half of that is subtracted from each range's time
 // and bounds its error. None: no request was answered yet.
@@ -23,6 +41,7 @@ struct LinkStatus {
   std::optional<double> round_trip_s{};
   std::optional<std::string_view> error{};  // why it is not open; none: it is
   std::optional<link::CanCounters> can{};   // of a link over CAN
+  NodeStatus node{};                        // of a node's link
 };
 
 // The content of a STATUS line, about once a second.
@@ -35,6 +54,13 @@ struct Status {
   std::vector<LinkStatus> links{};   // of the nodes
   std::vector<LinkStatus> robots{};  // the robot's links
   std::vector<diagnosis::Finding> diagnosis{};
+  std::optional<double> t_s{};  // the robot's time now
+  double driven_m = 0.0;        // by odometry, since the start; the next likewise
+  double turned_rad = 0.0;
+  std::optional<double> pose_latency_p50_s{};  // since the start
+  std::optional<double> pose_latency_p99_s{};
+  std::vector<AnchorStatus> anchors{};  // of the calibration in use
+  std::vector<PairStatus> pairs{};      // that have ranges
 };
 
 // {"class":"VERSION","program":"gromad","version":...,"protocol":1}

@@ -41,6 +41,7 @@ Session::Node::Node(Session& session, std::string name, unsigned baud)
     : session_(session), name_(std::move(name)), decoder_(baud) {}
 
 void Session::Node::on_range(const model::RangeSample& range) {
+  tag_id_ = range.tag_id;
   session_.take(range);
 }
 

@@ -84,6 +84,8 @@ class Session {
       return status_;
     }
     [[nodiscard]] const std::optional<groma_Counters>& node_counters() const noexcept { return counters_; }
+    // Of its last range.
+    [[nodiscard]] std::optional<model::NodeId> tag_id() const noexcept { return tag_id_; }
 
     void archive(model::StateArchive& state) { state(decoder_, hello_, status_, counters_); }
 
@@ -101,6 +103,7 @@ class Session {
     std::optional<groma_Hello> hello_;
     std::optional<groma_NetworkStatus> status_;
     std::optional<groma_Counters> counters_;
+    std::optional<model::NodeId> tag_id_;
   };
 
   explicit Session(SessionConfig config = {});

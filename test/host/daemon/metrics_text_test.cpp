@@ -31,6 +31,10 @@ TEST(MetricsText, HistogramsAreCumulative) {
   LatencyHistogram histogram;
   for (const double duration_s : {0.0, 20e-6, 21e-6, 0.004, 0.5, 7.0}) histogram.observe(duration_s);
   EXPECT_EQ(histogram.count(), 6U);
+  EXPECT_EQ(histogram.quantile_s(0.5), 50e-6);
+  EXPECT_EQ(histogram.quantile_s(0.8), 1.0);
+  EXPECT_FALSE(histogram.quantile_s(0.99)) << "longer than all bounds";
+  EXPECT_FALSE(LatencyHistogram().quantile_s(0.5));
   MetricsText text;
   text.histogram("latency_seconds", "Latency.", histogram);
   const auto family = PrometheusParser::parse(text.text()).at("latency_seconds");

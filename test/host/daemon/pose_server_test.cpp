@@ -252,8 +252,15 @@ TEST(StatusMessage, HasTheStateOfEachLink) {
   Status status{.state = "TRACKING"};
   status.links.push_back(
       {.link = "can:can0/1", .round_trip_s = 0.001, .can = link::CanCounters{.bus_off = 2}});
+  groma_Hello hello = groma_Hello_init_zero;
+  hello.id = 7;
+  hello.role = groma_Role_ROLE_TAG;
+  hello.network_id = 42;
   status.links.push_back({.link = "/dev/ttyACM0", .error = "no such device"});
   status.robots = {{.link = "robot.sock"}};
+  status.links.push_back({.link = "/dev/ttyACM1", .node = {.frames = 3, .tag_id = 8, .hello = &hello}});
+  status.pairs.push_back({.tag_id = 7, .anchor_id = 100, .ranges = 2, .innovation_m2 = 0.04});
+  status.pairs.push_back({.tag_id = 7, .anchor_id = 101});
   const json object = json::parse(status_line(status));
   const json& can = object.at("links")[0];
   EXPECT_EQ(can.at("link"), "can:can0/1");
@@ -275,6 +282,16 @@ TEST(StatusMessage, HasTheStateOfEachLink) {
   EXPECT_EQ(both.at("robot"), socket);
   EXPECT_EQ(both.at("robots")[0], socket);
   EXPECT_EQ(both.at("robots")[1].at("link"), "udp://127.0.0.1:4723");
+  EXPECT_TRUE(serial.at("node").at("id").is_null());
+  const json& node = object.at("links")[2];
+  EXPECT_EQ(node.at("frames"), 3);
+  EXPECT_EQ(node.at("node").at("id"), 7) << "as the node says, not as its ranges do";
+  EXPECT_EQ(node.at("node").at("role"), "tag");
+  EXPECT_EQ(node.at("node").at("network_id"), 42);
+  EXPECT_TRUE(node.at("node").at("sync").is_null());
+  EXPECT_DOUBLE_EQ(object.at("pairs")[0].at("innovation_m"), 0.2);
+  EXPECT_TRUE(object.at("pairs")[1].at("innovation_m").is_null());
+  EXPECT_TRUE(object.at("t_s").is_null());
 }
 
 }  // namespace
