@@ -31,7 +31,7 @@ Eigen::Matrix<double, 6, 6> twist_covariance(const PoseEstimate& pose) {
 }
 
 // As nlohmann writes numbers, but without the heap.
-void append(std::string& out, double number) {
+void append_number(std::string& out, double number) {
   if (!std::isfinite(number)) {
     out += "null";
     return;
@@ -144,7 +144,7 @@ void PoseWriter::key(std::string_view name) {
 
 void PoseWriter::put(std::string_view name, double number) {
   key(name);
-  append(line_, number);
+  append_number(line_, number);
 }
 
 void PoseWriter::put(std::string_view name, std::string_view json) {
@@ -159,7 +159,7 @@ void PoseWriter::put_terms(std::string_view name, const Terms& terms) {
   for (Eigen::Index row = 0; row < terms.rows(); ++row) {
     for (Eigen::Index column = 0; column < terms.cols(); ++column) {
       line_ += row + column == 0 ? '[' : ',';
-      append(line_, terms(row, column));
+      append_number(line_, terms(row, column));
     }
   }
   line_ += ']';
