@@ -46,7 +46,7 @@ TEST_F(GromadTest, LocalizesBeyondAFileSizeLimit) {
   write_surveyed(site);
   const std::string text = config_text("{file: calibration.yaml}") + "log: drive.glog\n";
   Gromad gromad({"--config", folder_.write("gromad.yaml", text).string()}, /*as_nobody=*/false,
-                /*max_file_bytes=*/16384);
+                /*max_file_bytes=*/524288);
   ASSERT_TRUE(run_until(site, gromad, [&] {
     return gromad.log().find("File too large); the recording has ended") != std::string::npos;
   })) << gromad.log();
