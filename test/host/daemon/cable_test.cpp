@@ -144,13 +144,15 @@ TEST_F(CableTest, PulledInMidFrameAndPutBackAThousandTimes) {
     const bool is_cut = period == 2 && pulls < kPulls;
     send_report(cable, t_s + 0.004, std::span(frame).first(is_cut ? frame.size() / 2 : frame.size()));
     if (!is_cut) continue;
+    if (pulls == kSettled) {
+      descriptors = open_descriptors();
+      heap_bytes = ::mallinfo2().uordblks;
+    }
     cable.pull();
     poll_at(t_s + 0.004);
     cable.plug_in();
     log_.clear();
-    if (++pulls != kSettled) continue;
-    descriptors = open_descriptors();
-    heap_bytes = ::mallinfo2().uordblks;
+    ++pulls;
   }
   EXPECT_EQ(open_descriptors(), descriptors);
   EXPECT_LT(::mallinfo2().uordblks, heap_bytes + 100'000);
