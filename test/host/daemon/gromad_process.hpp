@@ -60,6 +60,7 @@ class Gromad {
     }
   }
 
+  [[nodiscard]] pid_t pid() const { return pid_; }
   void terminate() const { ::kill(pid_, SIGTERM); }
   void hang_up() const { ::kill(pid_, SIGHUP); }
 
