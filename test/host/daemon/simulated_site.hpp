@@ -14,10 +14,12 @@
 #include <chrono>
 #include <cmath>
 #include <filesystem>
+#include <functional>
 #include <memory>
 #include <span>
 #include <stdexcept>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "host/clock/time_mapper.hpp"
@@ -89,8 +91,8 @@ class SimulatedSite {
     const int peer = ::accept4(listener_.get(), nullptr, nullptr, SOCK_NONBLOCK | SOCK_CLOEXEC);
     if (peer >= 0) robot_ = io::Descriptor(peer);
     const double now_s = site_time_s();
-    for (; kOdometryPeriod_s * odometry_sent_ <= now_s; ++odometry_sent_)
-      send_robot(kOdometryPeriod_s * odometry_sent_);
+    for (; next_odometry_s_ <= now_s; next_odometry_s_ += odometry_period_s, ++odometry_sent_)
+      send_robot(next_odometry_s_);
     for (; kReportPeriod_s * reports_sent_ <= now_s; ++reports_sent_)
       send_report(kReportPeriod_s * reports_sent_);
     drain();
@@ -121,6 +123,10 @@ class SimulatedSite {
   std::vector<model::Anchor> anchors;
   double range_bias_m = 0.0;  // of all pairs
   bool pose_priors = true;
+  double odometry_period_s = kOdometryPeriod_s;
+  // Change the lines for a time of the robot's clock, and the frames of the tag, before they are sent.
+  std::function<std::string(double t_s, std::string lines)> on_lines;
+  std::function<std::vector<std::uint8_t>(std::vector<std::uint8_t> frame)> on_frame;
 
  private:
   void send_robot(double site_s) const {
@@ -135,7 +141,7 @@ class SimulatedSite {
                            "\n",
                            t_s, pose.x_m, pose.y_m, pose.yaw_rad);
     }
-    send_to_robot_socket(lines);
+    send_to_robot_socket(on_lines ? on_lines(t_s, std::move(lines)) : lines);
   }
 
   void send_report(double site_s) {
@@ -152,9 +158,10 @@ class SimulatedSite {
       const double ripple_m = 0.03 * std::sin(1.7 * reports_sent_ + 2.3 * static_cast<double>(i));
       ranges.push_back(link::test::make_range(anchors[i].id, range_m + range_bias_m + ripple_m, dtu(-age_s)));
     }
-    send_to_tag_link(link::test::frame_of(
+    std::vector<std::uint8_t> frame = link::test::frame_of(
         link::test::make_report(static_cast<std::uint32_t>(reports_sent_), 1,
-                                static_cast<std::uint64_t>(dtu(kDeviceOrigin_s + site_s)), ranges)));
+                                static_cast<std::uint64_t>(dtu(kDeviceOrigin_s + site_s)), ranges));
+    send_to_tag_link(on_frame ? on_frame(std::move(frame)) : frame);
   }
 
   void drain() {
@@ -191,6 +198,7 @@ class SimulatedSite {
   io::Descriptor master_;
   io::Descriptor listener_;
   io::Descriptor robot_;
+  double next_odometry_s_ = 0.0;
   int odometry_sent_ = 0;
   int reports_sent_ = 0;
   std::vector<std::uint8_t> received_;

@@ -59,6 +59,7 @@ class TcpClient {
   // The other side has ended the connection.
   [[nodiscard]] bool ended() const { return ended_; }
   void close() { fd_.close(); }
+  [[nodiscard]] int fd() const { return fd_.get(); }
 
  private:
   io::Descriptor fd_;
