@@ -16,6 +16,7 @@ void add_configure(CLI::App& app, Action& action);
 void add_convert(CLI::App& app, Action& action);
 void add_demo(CLI::App& app, Action& action);
 void add_diff(CLI::App& app, Action& action);
+void add_doctor(CLI::App& app, Action& action);
 void add_evaluate(CLI::App& app, Action& action);
 void add_explain(CLI::App& app, Action& action);
 void add_flash(CLI::App& app, Action& action);

@@ -36,6 +36,7 @@ int run(int argc, char** argv) {
   add_convert(app, action);
   add_demo(app, action);
   add_diff(app, action);
+  add_doctor(app, action);
   add_evaluate(app, action);
   add_explain(app, action);
   add_flash(app, action);

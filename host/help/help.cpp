@@ -34,6 +34,7 @@ void prepare(CLI::App& app, int manual_section, std::map<std::string, Print> mor
   app.formatter(std::make_shared<HelpFormatter>());
   more.emplace("man", [&app, manual_section] { return manual_page(app, manual_section); });
   more.emplace("bash", [&app] { return bash_completion(app); });
+  more.emplace("zsh", [&app] { return zsh_completion(app); });
   more.emplace("markdown", [&app] { return option_tables(app); });
   app.add_option_function<std::string>("--print-reference",
                                        [more = std::move(more)](const std::string& format) {

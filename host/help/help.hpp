@@ -17,6 +17,7 @@ using Print = std::function<std::string()>;
 // and adds the hidden option --print-reference FORMAT, which prints a text and ends the program:
 //   man       the manual page, of this section
 //   bash      the completion for bash
+//   zsh       the completion for zsh
 //   markdown  the options of each command as tables
 //   others as in `more`
 void prepare(CLI::App& app, int manual_section, std::map<std::string, Print> more = {});

@@ -139,25 +139,61 @@ std::string roff_options(const CLI::App& app) {
   return out;
 }
 
-// Cases of the command line typed so far; the cases of a command's subcommands come before its own.
-void append_cases(const CLI::App& app, const std::string& before, std::string& cases, std::string& values) {
-  std::vector<std::string> names;
+struct Word {
+  std::string name;
+  std::string text;  // what it means
+};
+// What may follow the words of a command.
+struct Case {
+  std::string before;  // those words, each with a space behind it
+  bool runs = false;   // it has no subcommands: its other arguments are files
+  std::vector<Word> words;
+};
+// What may follow an option with a choice of words.
+struct ValueCase {
+  std::string before;
+  std::string option;
+  std::vector<std::string> words;
+};
+struct Cases {
+  std::vector<Case> commands;  // a command's subcommands come before it
+  std::vector<ValueCase> values;
+};
+
+void append_cases(const CLI::App& app, const std::string& before, Cases& out) {
+  Case own{.before = before};
   for (const CLI::App* command : commands_of(app)) {
-    append_cases(*command, before + command->get_name() + ' ', cases, values);
-    names.push_back(command->get_name());
+    append_cases(*command, before + command->get_name() + ' ', out);
+    own.words.push_back({command->get_name(), first_sentence(command->get_description())});
   }
-  const bool runs = names.empty();
+  own.runs = own.words.empty();
   for (const Shown& option : options_of(app)) {
     if (option.positional) continue;
-    names.insert(names.end(), option.names.begin(), option.names.end());
-    if (option.words.empty()) continue;
     for (const std::string& name : option.names) {
-      values += fmt::format("    \"{}\"*\"{} \") words='{}' ;;\n", before, name, joined(option.words, " "));
+      own.words.push_back({name, first_sentence(option.text)});
+      if (!option.words.empty()) out.values.push_back({before, name, option.words});
     }
   }
-  // The other arguments of a command are files, which readline completes where no word fits.
-  cases += fmt::format("    \"{}\"*) {}words='{}' ;;\n", before, runs ? "[[ $current == -* ]] && " : "",
-                       joined(names, " "));
+  out.commands.push_back(std::move(own));
+}
+
+Cases cases_of(const CLI::App& app) {
+  Cases cases;
+  append_cases(app, "", cases);
+  return cases;
+}
+
+// In single quotes; a colon separates name and text.
+std::string zsh_word(const Word& word) {
+  const auto escaped = [](std::string_view text) {
+    std::string out;
+    for (const char c : text) {
+      if (c == ':' || c == '\\') out += '\\';
+      out += c == '\'' ? "'\\''" : std::string(1, c == '\n' ? ' ' : c);
+    }
+    return out;
+  };
+  return fmt::format("'{}:{}'", escaped(word.name), escaped(word.text));
 }
 
 // Text in a cell of a table.
@@ -205,16 +241,47 @@ std::string manual_page(const CLI::App& app, int section) {
 
 std::string bash_completion(const CLI::App& app) {
   const std::string& name = app.get_name();
-  std::string cases;
-  std::string values;
-  append_cases(app, "", cases, values);
+  const Cases cases = cases_of(app);
   std::string out = fmt::format("# Completion of {} for bash.\n_{}() {{\n", name, name);
   out += "  local current=${COMP_WORDS[COMP_CWORD]} words=\n";
   out += "  local line=\"${COMP_WORDS[*]:1:COMP_CWORD-1} \"\n  line=${line# }\n";
-  out += fmt::format("  case \"$line\" in\n{}  esac\n", cases);
-  if (!values.empty()) out += fmt::format("  case \"$line\" in\n{}  esac\n", values);
+  out += "  case \"$line\" in\n";
+  for (const Case& of : cases.commands) {
+    std::vector<std::string> names;
+    for (const Word& word : of.words) names.push_back(word.name);
+    // The other arguments of a command are files, which readline completes where no word fits.
+    out += fmt::format("    \"{}\"*) {}words='{}' ;;\n", of.before, of.runs ? "[[ $current == -* ]] && " : "",
+                       joined(names, " "));
+  }
+  out += "  esac\n";
+  if (!cases.values.empty()) out += "  case \"$line\" in\n";
+  for (const ValueCase& of : cases.values) {
+    out += fmt::format("    \"{}\"*\"{} \") words='{}' ;;\n", of.before, of.option, joined(of.words, " "));
+  }
+  if (!cases.values.empty()) out += "  esac\n";
   out += "  mapfile -t COMPREPLY < <(compgen -W \"$words\" -- \"$current\")\n}\n";
   out += fmt::format("complete -o default -F _{} {}", name, name);
+  return out;
+}
+
+std::string zsh_completion(const CLI::App& app) {
+  const std::string& name = app.get_name();
+  const Cases cases = cases_of(app);
+  std::string out = fmt::format("#compdef {0}\n# Completion of {0} for zsh.\n_{0}() {{\n", name);
+  out += "  local line=\"${(j: :)words[2,CURRENT-1]} \" runs=\n  local -a found\n  line=${line# }\n";
+  out += "  case \"$line\" in\n";
+  for (const ValueCase& of : cases.values) {
+    out += fmt::format("    \"{}\"*\"{} \") compadd -- {}; return ;;\n", of.before, of.option,
+                       joined(of.words, " "));
+  }
+  for (const Case& of : cases.commands) {
+    out += fmt::format("    \"{}\"*) {}found=(", of.before, of.runs ? "runs=1 " : "");
+    for (const Word& word : of.words) out += "\n      " + zsh_word(word);
+    out += ") ;;\n";
+  }
+  out += "  esac\n";
+  out += "  if [[ -n $runs && ${words[CURRENT]} != -* ]]; then\n    _files\n  else\n";
+  out += fmt::format("    _describe argument found\n  fi\n}}\n_{} \"$@\"", name);
   return out;
 }
 

@@ -17,6 +17,9 @@ namespace groma::help {
 // For bash-completion: commands, options, their words, and files.
 [[nodiscard]] std::string bash_completion(const CLI::App& app);
 
+// For zsh: the same, with what each word means.
+[[nodiscard]] std::string zsh_completion(const CLI::App& app);
+
 // In Markdown, a section for each command.
 [[nodiscard]] std::string option_tables(const CLI::App& app);
 

@@ -107,6 +107,8 @@ TEST_F(Package, HasTheseFilesAndNoOthers) {
                          "/usr/share/groma/gromad.schema.json",
                          "/usr/share/man/man1/groma.1.gz",
                          "/usr/share/man/man8/gromad.8.gz",
+                         "/usr/share/zsh/vendor-completions/_groma",
+                         "/usr/share/zsh/vendor-completions/_gromad",
                      }));
   EXPECT_EQ(read_text(root() / "DEBIAN/conffiles"), "/etc/groma/gromad.yaml\n");
   EXPECT_EQ(lines_of(read_text(root() / "DEBIAN/md5sums")).size(), files.size());
@@ -146,6 +148,8 @@ TEST_F(Package, HasManualPagesCompletionsAndSchema) {
   EXPECT_EQ(output_of({"gzip", "-dc", share / "man/man8/gromad.8.gz"}).rfind(".TH GROMAD 8 ", 0), 0U);
   output_of({"bash", "-n", share / "bash-completion/completions/groma"});
   output_of({"bash", "-n", share / "bash-completion/completions/gromad"});
+  output_of({"zsh", "-n", share / "zsh/vendor-completions/_groma"});
+  output_of({"zsh", "-n", share / "zsh/vendor-completions/_gromad"});
   EXPECT_TRUE(nlohmann::json::parse(read_text(share / "groma/gromad.schema.json")).contains("properties"));
 }
 

@@ -157,5 +157,34 @@ TEST(Reference, CompletionKnowsCommandsOptionsAndTheirWords) {
   EXPECT_EQ(after({"calibrate", ""}), "\n") << "files, by readline";
 }
 
+// zsh's own functions are replaced by ones that print what they are given.
+TEST(Reference, CompletionForZshKnowsTheSame) {
+  const test::ScratchFolder folder;
+  folder.write("_groma", printed("zsh"));
+  const auto after = [&](const std::vector<std::string>& words) {
+    std::vector<std::string> arguments{
+        "/usr/bin/zsh",
+        "-f",
+        "-c",
+        "setopt nounset; _describe() { local word; for word in ${(P)2}; do [[ $word == ${words[CURRENT]}* ]] "
+        "&& "
+        "print -r -- $word; done; true; }; _files() { print files; }; compadd() { shift; print -r -- $*; }; "
+        "file=$1; shift; words=(groma \"$@\"); CURRENT=$#words; . $file",
+        "zsh",
+        (folder / "_groma").string()};
+    arguments.insert(arguments.end(), words.begin(), words.end());
+    const ChildResult result = test::run_child(arguments);
+    EXPECT_THAT(result.err, IsEmpty());
+    return result.out;
+  };
+  EXPECT_THAT(after({"cal"}), testing::StartsWith("calibrate:"));
+  EXPECT_THAT(after({"su"}), testing::ContainsRegex("^surface:.+\nsurvey:.+\n$"));
+  EXPECT_THAT(after({"surface", ""}), testing::StartsWith("fit:"));
+  EXPECT_THAT(after({"surface", "fit", "--sp"}), testing::StartsWith("--spacing:"));
+  EXPECT_THAT(after({"calibrate", "--known"}), testing::StartsWith("--known-anchors:"));
+  EXPECT_EQ(after({"plan", "--method", ""}), "final next-poll\n");
+  EXPECT_EQ(after({"calibrate", ""}), "files\n");
+}
+
 }  // namespace
 }  // namespace groma

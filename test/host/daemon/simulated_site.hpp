@@ -5,6 +5,7 @@
 #include <fcntl.h>
 #include <fmt/format.h>
 #include <pb_decode.h>
+#include <poll.h>
 #include <pty.h>
 #include <sys/socket.h>
 #include <sys/un.h>
@@ -72,6 +73,7 @@ class SimulatedSite {
     termios raw{};
     ::tcgetattr(slave, &raw);
     ::cfmakeraw(&raw);
+    ::cfsetspeed(&raw, B1000000);
     ::tcsetattr(slave, TCSANOW, &raw);
     ::close(slave);
     ::fcntl(master, F_SETFL, O_NONBLOCK);
@@ -101,8 +103,17 @@ class SimulatedSite {
   void send_to_robot_socket(const std::string& text) const {
     if (robot_.valid()) static_cast<void>(!::send(robot_.get(), text.data(), text.size(), MSG_NOSIGNAL));
   }
-  void send_to_tag_link(const std::vector<std::uint8_t>& bytes) const {
-    if (master_.valid()) static_cast<void>(!::write(master_.get(), bytes.data(), bytes.size()));
+  // As on a wire: without a reader the bytes are lost; one with another bit rate than 1 Mbit/s gets other
+  // bytes.
+  void send_to_tag_link(std::vector<std::uint8_t> bytes) const {
+    if (!master_.valid() || tag_silent) return;
+    pollfd line_end{master_.get(), POLLOUT, 0};
+    if (::poll(&line_end, 1, 0) >= 0 && (line_end.revents & POLLHUP) != 0) return;
+    termios line{};
+    if (::tcgetattr(master_.get(), &line) == 0 && ::cfgetospeed(&line) != B1000000) {
+      for (std::uint8_t& byte : bytes) byte = static_cast<std::uint8_t>(byte * 37U + 11U);
+    }
+    static_cast<void>(!::write(master_.get(), bytes.data(), bytes.size()));
   }
 
   struct Pose {
@@ -127,16 +138,24 @@ class SimulatedSite {
   // Change the lines for a time of the robot's clock, and the frames of the tag, before they are sent.
   std::function<std::string(double t_s, std::string lines)> on_lines;
   std::function<std::vector<std::uint8_t>(std::vector<std::uint8_t> frame)> on_frame;
+  std::uint32_t tag_id = 1;
+  bool tag_silent = false;
+  bool odometry = true;        // is sent
+  bool odometry_moves = true;  // else it says that the robot is stationary
+  double robot_clock_s = 0.0;  // added to the times that the robot sends
 
  private:
   void send_robot(double site_s) const {
-    const double t_s = kRobotOrigin_s + site_s;
-    std::string lines =
-        fmt::format(R"({{"class":"ODOMETRY","t_s":{},"vx_mps":{},"vy_mps":0,"omega_radps":{}}})"
-                    "\n",
-                    t_s, kRadius_m * kOmega, kOmega);
+    const double t_s = kRobotOrigin_s + site_s + robot_clock_s;
+    std::string lines;
+    const double omega = odometry_moves ? kOmega : 0.0;
+    if (odometry) {
+      lines = fmt::format(R"({{"class":"ODOMETRY","t_s":{},"vx_mps":{},"vy_mps":0,"omega_radps":{}}})"
+                          "\n",
+                          t_s, kRadius_m * omega, omega);
+    }
     if (pose_priors && odometry_sent_ % 5 == 0) {
-      const Pose pose = truth(t_s);
+      const Pose pose = truth(t_s - robot_clock_s);
       lines += fmt::format(R"({{"class":"POSE_PRIOR","t_s":{},"x_m":{},"y_m":{},"z_m":0,"yaw_rad":{}}})"
                            "\n",
                            t_s, pose.x_m, pose.y_m, pose.yaw_rad);
@@ -159,7 +178,7 @@ class SimulatedSite {
       ranges.push_back(link::test::make_range(anchors[i].id, range_m + range_bias_m + ripple_m, dtu(-age_s)));
     }
     std::vector<std::uint8_t> frame = link::test::frame_of(
-        link::test::make_report(static_cast<std::uint32_t>(reports_sent_), 1,
+        link::test::make_report(static_cast<std::uint32_t>(reports_sent_), tag_id,
                                 static_cast<std::uint64_t>(dtu(kDeviceOrigin_s + site_s)), ranges));
     send_to_tag_link(on_frame ? on_frame(std::move(frame)) : frame);
   }
@@ -175,14 +194,15 @@ class SimulatedSite {
     }
   }
 
-  // Answers a time request as a node does.
+  // Answers a request for its time or its hello as a node does.
   void answer(std::span<const std::uint8_t> payload) {
     groma_HostToNode command = groma_HostToNode_init_zero;
     pb_istream_t stream = pb_istream_from_buffer(payload.data(), payload.size());
-    if (!pb_decode(&stream, groma_HostToNode_fields, &command) ||
-        command.which_body != groma_HostToNode_time_request_tag) {
-      return;
+    if (!pb_decode(&stream, groma_HostToNode_fields, &command)) return;
+    if (command.which_body == groma_HostToNode_get_hello_tag) {
+      return send_to_tag_link(link::test::frame_of(link::test::make_hello(tag_id, "0.0.0")));
     }
+    if (command.which_body != groma_HostToNode_time_request_tag) return;
     const auto now = static_cast<std::uint64_t>(
         std::llround((kDeviceOrigin_s + site_time_s()) * (1.0 + kDeviceSkew) * clock::kDeviceTicksPerSecond));
     groma_NodeToHost reply = groma_NodeToHost_init_zero;
