@@ -6,10 +6,14 @@
 #include <array>
 #include <chrono>
 #include <cmath>
+#include <filesystem>
 #include <map>
+#include <optional>
 #include <set>
 #include <span>
+#include <string>
 #include <utility>
+#include <vector>
 
 #include <nlohmann/json.hpp>
 
@@ -36,8 +40,20 @@ constexpr double kGatedShare = 0.5;
 constexpr double kFewRanges = 5.0;  // too few to judge a pair
 
 std::string robot_name(const daemon::Config& config) {
-  if (config.robot_can) return "can:" + config.robot_can->interface;
-  return config.robot_listen.empty() ? config.robot_socket.string() : config.robot_listen.string();
+  std::vector<std::string> names;
+  if (!config.robot_socket.empty()) names.push_back(config.robot_socket.string());
+  for (const std::filesystem::path& listen : config.robot_listen) names.push_back(listen.string());
+  if (config.robot_can) names.push_back("can:" + config.robot_can->interface);
+  return fmt::format("{}", fmt::join(names, ", "));
+}
+
+// The first of the robot's links that is not open.
+std::optional<Json> closed_link(const Json& status) {
+  const Json only = Json::array({status.value("robot", Json::object())});
+  for (const Json& link : status.value("robots", only)) {
+    if (!link.value("open", false)) return link;
+  }
+  return std::nullopt;
 }
 
 // The valid odometry lines that the robot's program sends within kListenToRobot_s.
@@ -120,9 +136,8 @@ Check check_odometry(const Subject& subject) {
   Check check{.kind = "odometry", .name = robot_name(subject.config)};
   if (subject.live == nullptr) return check_odometry_offline(subject.config, std::move(check));
   const Observation& live = *subject.live;
-  const Json robot = live.statuses.back().value("robot", Json::object());
-  if (!robot.value("open", false)) {
-    const Json error = robot.value("error", Json());
+  if (const std::optional<Json> closed = closed_link(live.statuses.back())) {
+    const Json error = closed->value("error", Json());
     check.facts.push_back(error.is_string() ? error.get<std::string>() : "the link is not open");
     check.fail(
         Verdict::kBad, "no-odometry",
