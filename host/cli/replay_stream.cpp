@@ -26,6 +26,7 @@ using daemon::ReplayedSection;
 
 Json to_json(const ReplayedSection& section) {
   return {{"program_version", section.program_version},
+          {"build", section.build.empty() ? Json(nullptr) : Json(section.build)},
           {"unix_time_s", static_cast<double>(section.unix_time_ns) * 1e-9},
           {"duration_s", section.duration_s},
           {"poses", section.poses},
@@ -62,8 +63,8 @@ void expect_replayed(const StreamOptions& options, const std::vector<ReplayedSec
                         "replay it with --calibration FILE and -o FILE");
   }
   throw io::DataError({options.capture},
-                      fmt::format("was recorded by version {}, and this is {}",
-                                  sections.back().program_version, io::program_version()),
+                      fmt::format("was recorded by the build {}, and this is {}",
+                                  io::shown(sections.back().build), io::build_name()),
                       "replay it with the same build, or with --calibration FILE and -o FILE");
 }
 

@@ -91,11 +91,10 @@ class Replayer {
     restart_digest();
     ReplayedSection& section = sections_.back();
     section.has_snapshot = true;
-    std::string version;
     std::string path;
     std::vector<File> files;
-    archive(version);
-    if (version != io::program_version()) throw model::StateArchive::Mismatch();
+    archive(section.build);
+    if (section.build != io::build_name()) throw model::StateArchive::Mismatch();
     archive(path, files);
     io::InputFiles::Texts texts;
     for (File& file : files) texts.emplace(std::move(file.path), std::move(file.text));
@@ -146,13 +145,13 @@ class Replayer {
 
 std::string take_snapshot(const Config& config, Pipeline& pipeline) {
   std::string bytes;
-  std::string version(io::program_version());
+  std::string build = io::build_name();
   std::string path = config.path.string();
   std::vector<File> files;
   files.reserve(config.files.size());
   for (const auto& [name, text] : config.files) files.push_back({name.string(), text});
   model::StateArchive archive(bytes);
-  archive(version, path, files, pipeline);
+  archive(build, path, files, pipeline);
   return bytes;
 }
 

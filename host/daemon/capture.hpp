@@ -21,6 +21,7 @@ namespace groma::daemon {
 // A section of a capture that was replayed.
 struct ReplayedSection {
   std::string program_version;
+  std::string build{};             // as io::build_name(), of its last snapshot
   std::uint64_t unix_time_ns = 0;  // of its start
   double duration_s = 0.0;
   std::size_t poses = 0;

@@ -27,8 +27,8 @@ class LogRecorder : public MeasurementSink {
     LogWriter::Open open;
     // The next file begins at each snapshot, and once a file has this many bytes; 0: there is one file only.
     std::uint64_t file_bytes = 0;
-    std::vector<io::DescriptionFile> description;
-    std::function<std::string()> snapshot;  // take_snapshot(), between two events
+    std::vector<io::DescriptionFile> description{};
+    std::function<std::string()> snapshot{};  // take_snapshot(), between two events
   };
 
   // Begins a section with a snapshot. Throws as LogWriter does.

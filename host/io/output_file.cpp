@@ -166,8 +166,8 @@ void remove_remains(const std::filesystem::path& path) {
   // Of a process in another container, which cannot be seen from here, only old files are certain remains.
   constexpr auto kOld = std::chrono::minutes(1);
   std::error_code error;
-  for (std::filesystem::directory_iterator entry(folder_of(path), error), end; !error && entry != end;
-       entry.increment(error)) {
+  for (std::filesystem::directory_iterator entry(folder_of(target_of(path)), error), end;
+       !error && entry != end; entry.increment(error)) {
     const std::optional<pid_t> writer = writer_of(entry->path().filename().string());
     if (!writer) continue;
     const bool ended = ::kill(*writer, 0) != 0 && errno == ESRCH;

@@ -7,6 +7,7 @@
 #include <chrono>
 #include <cmath>
 #include <cstring>
+#include <filesystem>
 #include <fstream>
 #include <functional>
 #include <map>
@@ -24,6 +25,7 @@
 #include "host/link/report_decoder.hpp"
 #include "host/simulation/site_server.hpp"
 #include "test/host/daemon/gromad_process.hpp"
+#include "test/support/child_process.hpp"
 #include "test/support/scratch_folder.hpp"
 #include "test/support/virtual_can.hpp"
 
@@ -260,6 +262,7 @@ TEST_F(GromadOnCan, LosesNothingWithOdometryOnTheSameBusAndAnImuBySocket) {
   const link::CanLog log = bus_log("classic.log");
   const link::ReportCounters expected = recorded("classic.log");
   Gromad gromad({"--config", config("can",
+                                    "log: drive.glog\n"
                                     "robot: {can: bus0, dbc: robot.dbc, signals: {vx_mps: Drive.Speed, "
                                     "vy_mps: Drive.Side, omega_radps: Drive.Rate}}\n"
                                     "robot_socket: robot.sock\n")});
@@ -281,6 +284,15 @@ TEST_F(GromadOnCan, LosesNothingWithOdometryOnTheSameBusAndAnImuBySocket) {
   EXPECT_EQ(robots[1].at("can").at("frames_overrun"), 0);
   gromad.terminate();
   EXPECT_EQ(gromad.exit_code(), io::kGood);
+
+  // The capture repeats the poses.
+  static_cast<void>(client_->read());
+  const std::filesystem::path again = folder_ / "again.jsonl";
+  const auto replayed = groma::test::run_child(
+      {GROMA_PATH, "replay", (folder_ / "drive.glog").string(), "--stream", again.string()});
+  EXPECT_EQ(replayed.exit_code, io::kGood) << replayed.err << replayed.out;
+  EXPECT_FALSE(client_->pose_lines().empty());
+  EXPECT_TRUE(read_text(again).ends_with(client_->pose_lines()));
 }
 
 TEST_F(GromadOnCan, CountsFramesThatModulesLoseWhileBusOffAndContinues) {

@@ -12,7 +12,6 @@
 #include <functional>
 #include <optional>
 #include <string>
-#include <string_view>
 #include <thread>
 #include <utility>
 #include <vector>
@@ -36,7 +35,6 @@ using test::SimulatedSite;
 using test::StreamClient;
 
 inline constexpr double kSpeed = 2.0;
-inline constexpr std::string_view kPoseBegin = R"({"class":"POSE")";
 
 class GromadTest : public ::testing::Test {
  protected:
@@ -91,14 +89,7 @@ speed: {}
   // The POSE lines that the client received, byte for byte.
   [[nodiscard]] std::string poses_received() {
     client_->read();
-    std::string lines;
-    const std::string& text = client_->text();
-    for (std::size_t begin = 0, end = 0; (end = text.find('\n', begin)) != std::string::npos;
-         begin = end + 1) {
-      if (text.compare(begin, kPoseBegin.size(), kPoseBegin) == 0)
-        lines += text.substr(begin, end + 1 - begin);
-    }
-    return lines;
+    return client_->pose_lines();
   }
 
   [[nodiscard]] double largest_error_m(std::size_t skip) const {

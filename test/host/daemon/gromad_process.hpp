@@ -114,25 +114,24 @@ class StreamClient {
   explicit StreamClient(std::uint16_t port) : client_(port) {}
 
   std::vector<nlohmann::json> read() {
-    const std::string received = client_.receive();
-    text_ += received;
-    all_ += received;
+    text_ += client_.receive();
     std::vector<nlohmann::json> objects;
     std::size_t end = 0;
     while ((end = text_.find('\n')) != std::string::npos) {
       objects.push_back(nlohmann::json::parse(text_.substr(0, end)));
+      if (objects.back().at("class") == "POSE") pose_lines_.append(text_, 0, end + 1);
       text_.erase(0, end + 1);
     }
     return objects;
   }
 
-  // All that was received.
-  [[nodiscard]] const std::string& text() const noexcept { return all_; }
+  // The POSE lines that were read, byte for byte.
+  [[nodiscard]] const std::string& pose_lines() const noexcept { return pose_lines_; }
 
  private:
   TcpClient client_;
   std::string text_;  // an incomplete line
-  std::string all_;
+  std::string pose_lines_;
 };
 
 // The port of that server, once gromad's log names it.
