@@ -11,6 +11,7 @@ namespace groma::cli {
 // Returns the exit code.
 using Action = std::function<int()>;
 
+void add_bugreport(CLI::App& app, Action& action);
 void add_calibrate(CLI::App& app, Action& action);
 void add_configure(CLI::App& app, Action& action);
 void add_convert(CLI::App& app, Action& action);
@@ -22,6 +23,7 @@ void add_explain(CLI::App& app, Action& action);
 void add_flash(CLI::App& app, Action& action);
 void add_identify(CLI::App& app, Action& action);
 void add_listen(CLI::App& app, Action& action);
+void add_monitor(CLI::App& app, Action& action);
 void add_nodes(CLI::App& app, Action& action);
 void add_plan(CLI::App& app, Action& action);
 void add_record(CLI::App& app, Action& action);

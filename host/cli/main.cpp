@@ -31,6 +31,7 @@ int run(int argc, char** argv) {
       "Exit codes: 0 good, 2 usage, 3 done with warnings, 65 bad data or a result that is not usable,\n"
       "69 device or service unavailable, 77 permission, 78 bad configuration.");
   Action action;
+  add_bugreport(app, action);
   add_calibrate(app, action);
   add_configure(app, action);
   add_convert(app, action);
@@ -42,6 +43,7 @@ int run(int argc, char** argv) {
   add_flash(app, action);
   add_identify(app, action);
   add_listen(app, action);
+  add_monitor(app, action);
   add_nodes(app, action);
   add_plan(app, action);
   add_record(app, action);

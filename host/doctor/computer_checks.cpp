@@ -29,7 +29,6 @@ std::string shown_bytes(double bytes) {
                                 : fmt::format("{:.1f} GiB", bytes / kMebi / 1024.0);
 }
 
-// Only what people should not do about a problem of another file.
 std::string fault_of(const std::exception_ptr& error) {
   try {
     std::rethrow_exception(error);

@@ -14,7 +14,7 @@
 
 namespace groma::doctor {
 
-struct Examination {
+struct Examination {  // NOLINT(bugprone-exception-escape): moving JSON does not throw
   std::vector<Check> checks;
   Observation observation;  // of gromad; with an error if it does not run
 };

@@ -46,15 +46,15 @@ class PoseStream {
 };
 
 // What a running gromad reported for a while.
-struct Observation {
-  std::string error;       // why there is nothing; empty: VERSION and at least one STATUS came
+struct Observation {       // NOLINT(bugprone-exception-escape): moving JSON does not throw
+  std::string error{};     // why there is nothing; empty: VERSION and at least one STATUS came
   bool is_served = false;  // some program serves that address
   nlohmann::json version;
-  std::vector<nlohmann::json> statuses;
-  std::vector<double> received_s;  // of each status, by this computer's clock since 1970
-  nlohmann::json pose;             // the last one; null: none
-  std::size_t poses = 0;           // from the first to the last status
-  std::vector<std::string> lines;  // VERSION, and all STATUS and CALIBRATION lines, as they came
+  std::vector<nlohmann::json> statuses{};
+  std::vector<double> received_s{};  // of each status, by this computer's clock since 1970
+  nlohmann::json pose;               // the last one; null: none
+  std::size_t poses = 0;             // from the first to the last status
+  std::vector<std::string> lines{};  // VERSION, and all STATUS and CALIBRATION lines, as they came
 
   // Of a counter of STATUS, such as "/odometry": the last value less the first.
   [[nodiscard]] double growth(const std::string& pointer) const;

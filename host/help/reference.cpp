@@ -147,7 +147,7 @@ struct Word {
 struct Case {
   std::string before;  // those words, each with a space behind it
   bool runs = false;   // it has no subcommands: its other arguments are files
-  std::vector<Word> words;
+  std::vector<Word> words{};
 };
 // What may follow an option with a choice of words.
 struct ValueCase {

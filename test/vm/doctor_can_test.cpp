@@ -8,9 +8,9 @@ namespace groma::doctor {
 namespace {
 
 TEST(DoctorOnCan, NamesAnInterfaceThatIsDown) {
-  test::VirtualCan can("vcan0");
+  test::VirtualCan can("doctor0");
   daemon::Config config;
-  config.nodes = {{"can:vcan0/1"}};
+  config.nodes = {{"can:doctor0/1"}};
   const Subject subject{.config = config};
   EXPECT_EQ(check_can_buses(config).at(0).verdict, Verdict::kGood);
   can.down();

@@ -23,6 +23,7 @@ class Checks : public ::testing::Test {
     config_.tags = {{1, {0.0, 0.0, 0.5}}};
     config_.nodes = {{"/dev/tag-1"}};
     config_.robot_socket = "robot.sock";
+    live_.statuses = {json::object(), json::object()};
   }
   // Two statuses, 2 s apart.
   void observe(const json& before, const json& after, double received_s = 1000.0) {
@@ -39,7 +40,7 @@ class Checks : public ::testing::Test {
   }
 
   daemon::Config config_;
-  Observation live_{.statuses = {json::object(), json::object()}};
+  Observation live_;
 };
 
 TEST_F(Checks, ExitCodeIsThatOfTheFirstBadOne) {

@@ -49,7 +49,9 @@ class Doctor : public DoctorTest {
     arguments.push_back((folder_ / "gromad.yaml").string());
     const ChildResult child = run_beside(site, arguments);
     EXPECT_EQ(child.err, "");
-    Result result{.exit_code = child.exit_code, .text = child.out};
+    Result result;
+    result.exit_code = child.exit_code;
+    result.text = child.out;
     result.report = json::parse(child.out, nullptr, false);
     if (result.report.is_discarded()) ADD_FAILURE() << child.exit_code << ": " << child.out;
     return result;
