@@ -4,6 +4,7 @@
 
 #include <fmt/format.h>
 #include <poll.h>
+#include <sched.h>
 #include <sys/resource.h>
 #include <sys/syscall.h>
 #include <unistd.h>
@@ -65,7 +66,9 @@ class Arena {
   using Clock = std::chrono::steady_clock;
   static constexpr double kOdometryPeriod_s = 0.005;
 
-  Arena() : site_(folder_.path(), 1.0) {
+  // real_time: gromad's loop and the measurement get real-time priority if this user may give it, so that
+  // other programs of this computer add no delay.
+  explicit Arena(bool real_time) : site_(folder_.path(), 1.0) {
     site_.odometry_period_s = kOdometryPeriod_s;
     site_.on_lines = [this](double t_s, std::string lines) {
       ++measured_.sent;
@@ -85,8 +88,10 @@ class Arena {
       std::this_thread::sleep_for(std::chrono::milliseconds(1));
     }
     if (!client_) throw std::runtime_error("gromad: " + gromad_->log());
+    is_real_time_ = real_time && raise(gromad_->pid(), 10) && raise(0, 20);
   }
 
+  [[nodiscard]] bool is_real_time() const { return is_real_time_; }
   [[nodiscard]] std::uint16_t port() const { return port_; }
   [[nodiscard]] SimulatedSite& site() { return site_; }
   [[nodiscard]] Gromad& gromad() { return *gromad_; }
@@ -163,6 +168,13 @@ class Arena {
     Clock::time_point at;
     double true_s = 0.0;
   };
+
+  // Threads that it starts have the usual priority.
+  static bool raise(pid_t pid, int priority) {
+    sched_param parameter{};
+    parameter.sched_priority = priority;
+    return ::sched_setscheduler(pid, SCHED_FIFO | SCHED_RESET_ON_FORK, &parameter) == 0;
+  }
 
   static std::int64_t key(double t_s) { return std::llround(t_s * 1e6); }
 
@@ -252,6 +264,7 @@ log: drive.glog
   groma::test::TemporaryFolder folder_;
   SimulatedSite site_;
   std::unique_ptr<Gromad> gromad_;
+  bool is_real_time_ = false;
   std::uint16_t port_ = 0;
   std::optional<TcpClient> client_;
   std::string text_;

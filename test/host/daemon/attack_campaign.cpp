@@ -45,11 +45,11 @@ class AttackCampaign : public ::testing::Test {
   void SetUp() override {
     fmt::print(
         "odometry at 200 Hz; latency from the sending of a sample to its pose at a client; wrong: TRACKING "
-        "poses "
-        "beyond 5 sigmas\n\n"
+        "poses beyond 5 sigmas; {} priority\n\n"
         "| attack | p50 ms | p99 | p99.9 | max | poses/s | TRACKING | largest error m | wrong | processor | "
         "memory MiB | descriptors | TRACKING again after s |\n"
-        "|---|---|---|---|---|---|---|---|---|---|---|---|---|\n");
+        "|---|---|---|---|---|---|---|---|---|---|---|---|---|\n",
+        arena_.is_real_time() ? "real-time" : "normal");
     ASSERT_TRUE(arena_.recover()) << arena_.gromad().log();
     undisturbed_ = arena_.measure([this] {
       arena_.pump(GROMA_JUDGED_S);
@@ -92,7 +92,7 @@ class AttackCampaign : public ::testing::Test {
 
   // 64 clients with 256 KiB each, and twice as much where memory is returned late.
   static constexpr double kMostGrowth_mib = 32.0;
-  Arena arena_;
+  Arena arena_{!kQuick};
   Measured undisturbed_;
   std::uint64_t lost_ = 0;  // frames
 };
