@@ -15,8 +15,12 @@ std::uint64_t unix_time_ns() {
 
 }  // namespace
 
-LogRecorder::LogRecorder(Setup setup)
-    : setup_(std::move(setup)), writer_(setup_.name, setup_.open, begin()) {}
+LogRecorder::LogRecorder(Setup setup) : setup_(std::move(setup)), writer_(setup_.name, setup_.open, begin()) {
+  std::string empty;
+  empty.reserve(LogWriter::kBuffer);
+  encoder_.take(empty);
+  bytes_.reserve(LogWriter::kBuffer);
+}
 
 LogRecorder::~LogRecorder() {
   encoder_.flush();

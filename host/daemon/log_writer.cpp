@@ -72,6 +72,7 @@ LogWriter::LogWriter(std::filesystem::path name, Open open, std::string_view beg
                           "check the device, or choose another file for `log`");
   }
   if (error != 0) end_with(fmt::format("cannot be written ({}); nothing is recorded", reason(error)));
+  waiting_.reserve(kBuffer);
   writer_ = std::thread([this] { write_loop(); });
 }
 
@@ -116,6 +117,7 @@ void LogWriter::write_loop() {
   using Clock = std::chrono::steady_clock;
   Clock::time_point next_sync = Clock::now();
   std::string bytes;
+  bytes.reserve(kBuffer);
   std::vector<std::size_t> cuts;
   std::unique_lock lock(mutex_);
   while (true) {

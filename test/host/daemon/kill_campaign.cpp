@@ -115,6 +115,11 @@ TEST_F(KillTest, CapturesAndCalibrationsAreWholeWheneverItIsKilled) {
 
   // The next start removes what was left.
   folder_.write(".groma-999999999-0.tmp", "half a file");
+  for (const auto& entry : std::filesystem::directory_iterator(folder_.path())) {
+    if (entry.path().extension() != ".tmp") continue;
+    std::filesystem::last_write_time(entry,
+                                     std::filesystem::file_time_type::clock::now() - std::chrono::minutes(2));
+  }
   Gromad gromad({"--config", config});
   ASSERT_TRUE(run_until(site, gromad, [&] { return pose_stream_port(gromad).has_value(); })) << gromad.log();
   EXPECT_EQ(temporaries(), 0U);

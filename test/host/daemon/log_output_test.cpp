@@ -23,14 +23,14 @@ using Clock = std::chrono::steady_clock;
 
 class LogOutputTest : public ::testing::Test {
  protected:
-  static constexpr int kPipeSize = 4096;
+  static constexpr std::size_t kPipeSize = 4096;
 
   LogOutputTest() {
     std::array<int, 2> ends{};
     if (::pipe2(ends.data(), O_CLOEXEC) != 0) throw std::runtime_error("pipe2");
     reader_ = io::Descriptor(ends[0]);
     writer_ = io::Descriptor(ends[1]);
-    ::fcntl(writer_.get(), F_SETPIPE_SZ, kPipeSize);
+    ::fcntl(writer_.get(), F_SETPIPE_SZ, static_cast<int>(kPipeSize));
     output_.emplace(writer_.get());
   }
   // Waits for at least one byte.
