@@ -143,8 +143,8 @@ class Replayer {
 
 }  // namespace
 
-std::string take_snapshot(const Config& config, Pipeline& pipeline) {
-  std::string bytes;
+void take_snapshot(const Config& config, Pipeline& pipeline, std::string& bytes) {
+  bytes.clear();
   std::string build = io::build_name();
   std::string path = config.path.string();
   std::vector<File> files;
@@ -152,7 +152,6 @@ std::string take_snapshot(const Config& config, Pipeline& pipeline) {
   for (const auto& [name, text] : config.files) files.push_back({name.string(), text});
   model::StateArchive archive(bytes);
   archive(build, path, files, pipeline);
-  return bytes;
 }
 
 StreamReplay replay_stream(std::string_view capture, std::optional<std::size_t> only,

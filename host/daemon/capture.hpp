@@ -16,7 +16,7 @@
 namespace groma::daemon {
 
 // The configuration, with the files that it names, and the state of the pipeline.
-[[nodiscard]] std::string take_snapshot(const Config& config, Pipeline& pipeline);
+void take_snapshot(const Config& config, Pipeline& pipeline, std::string& bytes);
 
 // A section of a capture that was replayed.
 struct ReplayedSection {

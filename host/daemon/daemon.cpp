@@ -292,7 +292,7 @@ void Daemon::record_in_ring(const RingSettings& settings) {
 
 void Daemon::record_to(LogRecorder::Setup setup) {
   setup.description = config_.description();
-  setup.snapshot = [this] { return take_snapshot(config_, pipeline_); };
+  setup.snapshot = [this](std::string& bytes) { take_snapshot(config_, pipeline_, bytes); };
   const std::string name = setup.name.string();
   auto recorder = std::make_unique<LogRecorder>(std::move(setup));
   if (const auto failure = recorder->take_failure()) {

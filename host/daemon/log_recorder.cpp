@@ -94,7 +94,8 @@ void LogRecorder::renew() {
 
 void LogRecorder::put_snapshot() {
   needs_snapshot_ = false;
-  encoder_.put(io::LoopState{io::LoopState::Kind::kSnapshot, setup_.snapshot()});
+  setup_.snapshot(snapshot_);
+  encoder_.put(io::LoopState{io::LoopState::Kind::kSnapshot, snapshot_});
   poses_ = 0;
   hash_ = io::kFnv1aBegin;
 }

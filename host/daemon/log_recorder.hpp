@@ -28,7 +28,7 @@ class LogRecorder : public MeasurementSink {
     // The next file begins at each snapshot, and once a file has this many bytes; 0: there is one file only.
     std::uint64_t file_bytes = 0;
     std::vector<io::DescriptionFile> description{};
-    std::function<std::string()> snapshot{};  // take_snapshot(), between two events
+    std::function<void(std::string& bytes)> snapshot{};  // take_snapshot(), between two events
   };
 
   // Begins a section with a snapshot. Throws as LogWriter does.
@@ -66,6 +66,7 @@ class LogRecorder : public MeasurementSink {
 
   Setup setup_;
   io::LogEncoder encoder_;
+  std::string snapshot_;  // keeps its capacity
   double now_s_ = 0.0;
   double next_write_s_ = 0.0;
   bool needs_snapshot_ = false;

@@ -23,8 +23,8 @@ class LogWriter {
 
   // Minimum period of fdatasync(2), which protects against a power cut.
   static constexpr double kSyncEvery_s = 5.0;
-  // More than the bytes of a second at full rate: buffers of this size do not grow.
-  static constexpr std::size_t kBuffer = 524'288;
+  // More than the bytes of a second at full rate and a snapshot: buffers of this size do not grow.
+  static constexpr std::size_t kBuffer = 1'048'576;
   // Bytes that may wait for the disk; beyond that the recording ends.
   static constexpr std::size_t kMaxWaiting = 16'777'216;
 

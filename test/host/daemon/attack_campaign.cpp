@@ -87,14 +87,15 @@ class AttackCampaign : public ::testing::Test {
     if (kQuick) return;
     EXPECT_EQ(row.wrong, 0U);
     EXPECT_LT(row.resident_mib, undisturbed_.resident_mib + kMostGrowth_mib);
-    if (attack.judged) EXPECT_LE(row.latency_ms(0.999), undisturbed_.latency_ms(0.999) + kMostDelay_ms);
+    if (attack.judged) judged_.emplace_back(attack.name, row.latency_ms(0.999));
   }
 
   // 64 clients with 256 KiB each, and twice as much where memory is returned late.
   static constexpr double kMostGrowth_mib = 32.0;
   Arena arena_{!kQuick};
   Measured undisturbed_;
-  std::uint64_t lost_ = 0;  // frames
+  std::vector<std::pair<std::string, double>> judged_;  // each attack's p99.9, ms
+  std::uint64_t lost_ = 0;                              // frames
 };
 
 TEST_F(AttackCampaign, NoAttackBreaksGromad) {
@@ -108,6 +109,10 @@ TEST_F(AttackCampaign, NoAttackBreaksGromad) {
   });
   print_row("undisturbed, at the end", after, 0.0);
   EXPECT_EQ(after.descriptors + 1, undisturbed_.descriptors) << "all are back, and the recording has ended";
+  // The computer itself delays now more, now less.
+  const double undisturbed_ms = std::max(undisturbed_.latency_ms(0.999), after.latency_ms(0.999));
+  for (const auto& [attack, latency_ms] : judged_)
+    EXPECT_LE(latency_ms, undisturbed_ms + kMostDelay_ms) << attack;
   arena_.gromad().terminate();
   EXPECT_EQ(arena_.gromad().exit_code(), io::kGood) << arena_.gromad().log();
 }
