@@ -17,6 +17,7 @@
 #include "host/cli/terminal.hpp"
 #include "host/cli/warnings.hpp"
 #include "host/io/exit_code.hpp"
+#include "host/link/report_decoder.hpp"
 #include "host/provision/air_plan.hpp"
 #include "host/provision/site_plan.hpp"
 
@@ -72,10 +73,10 @@ int run(const ConfigureOptions& options) {
     const provision::NodeOutcome& outcome = outcomes[i];
     if (const int code = report_outcome(outcome, warnings); first_failure == io::kGood) first_failure = code;
     const bool over_air = provision::is_reached_by_air(*node);
-    table.add({fmt::format("{}", node->id), provision::role_word(node->role),
+    table.add({fmt::format("{}", node->id), link::role_word(node->role),
                over_air ? "via " + outcome.port : outcome.port, result_word(outcome),
                outcome.hello ? outcome.hello->version : "-"});
-    Json entry{{"id", node->id}, {"role", provision::role_word(node->role)}, {"over_air", over_air}};
+    Json entry{{"id", node->id}, {"role", link::role_word(node->role)}, {"over_air", over_air}};
     entry.update(cli::to_json(outcome));
     json["nodes"].push_back(std::move(entry));
   }

@@ -19,6 +19,7 @@
 #include "host/cli/terminal.hpp"
 #include "host/cli/warnings.hpp"
 #include "host/io/exit_code.hpp"
+#include "host/link/report_decoder.hpp"
 #include "host/provision/configure.hpp"
 #include "host/provision/debug_probe.hpp"
 #include "host/provision/image.hpp"
@@ -316,10 +317,10 @@ int flash_plan(const FlashOptions& options) {
       warnings.add(
           fmt::format("node {} is flashed but not configured: the plan names no port for it", node.id));
     }
-    table.add({fmt::format("{}", node.id), provision::role_word(node.role), serial.empty() ? "-" : serial,
+    table.add({fmt::format("{}", node.id), link::role_word(node.role), serial.empty() ? "-" : serial,
                result_word(flashed), configured ? configured->port : "-",
                configured ? cli::result_word(*configured) : "-"});
-    Json entry{{"id", node.id}, {"role", provision::role_word(node.role)}, {"probe", serial}};
+    Json entry{{"id", node.id}, {"role", link::role_word(node.role)}, {"probe", serial}};
     entry["flash"] = to_json(flashed);
     entry["configure"] = configured ? cli::to_json(*configured) : Json(nullptr);
     json["nodes"].push_back(std::move(entry));

@@ -15,6 +15,7 @@
 #include "host/cli/selection.hpp"
 #include "host/cli/terminal.hpp"
 #include "host/io/exit_code.hpp"
+#include "host/link/report_decoder.hpp"
 #include "host/provision/configure.hpp"
 #include "host/provision/site_plan.hpp"
 
@@ -66,7 +67,7 @@ int run(IdentifyOptions options) {
     return cli::exit_code_of(outcome.fault);
   }
   const bool known = outcome.hello.has_value();
-  const char* role = known ? provision::role_word(outcome.hello->role) : "";
+  const char* role = known ? link::role_word(outcome.hello->role) : "";
   if (options.json) {
     say_json({{"port", outcome.port},
               {"for_s", options.for_s},

@@ -96,17 +96,6 @@ class Listener : public link::NodeSink {
   bool rows_;
 };
 
-const char* word(groma_SyncState state) {
-  switch (link::number_in(state)) {
-    case groma_SyncState_SYNC_LOCKED:
-      return "locked";
-    case groma_SyncState_SYNC_COASTING:
-      return "coasting";
-    default:
-      return "searching";
-  }
-}
-
 int exit_code_of(link::LinkFault fault) {
   return fault == link::LinkFault::kPermission ? io::kNoPermission : io::kUnavailable;
 }
@@ -127,7 +116,7 @@ Json to_json(const Listener& listener, const link::ReportDecoder& decoder, doubl
   const bool has_temperature = status && status->has_temperature_cdegc;
   const bool has_supply = status && status->has_supply_mv;
   return {{"for_s", for_s},
-          {"sync", listener.status ? Json(word(listener.status->state)) : Json(nullptr)},
+          {"sync", listener.status ? Json(link::sync_word(listener.status->state)) : Json(nullptr)},
           {"master", listener.status ? Json(listener.status->master_id) : Json(nullptr)},
           {"slot", status && status->has_slot ? Json(status->slot) : Json(nullptr)},
           {"candidates", status ? Json(status->candidates) : Json(nullptr)},

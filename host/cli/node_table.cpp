@@ -236,7 +236,7 @@ int run(NodeTableOptions options) {
     const auto& hello = report.outcome.hello;
     if (hello) {
       entry["id"] = hello->id;
-      entry["role"] = provision::role_word(hello->role);
+      entry["role"] = link::role_word(hello->role);
       entry["network_id"] = hello->network_id;
       entry["schedule_hash"] = fmt::format("{:08x}", hello->schedule_hash);
       entry["boot_count"] = hello->boot_count;
@@ -244,7 +244,7 @@ int run(NodeTableOptions options) {
     if (hello && report.counters) {
       const groma_Counters& counters = *report.counters;
       const groma_SlotSlack* slot = report.slack ? tightest(*report.slack) : nullptr;
-      table.add({fmt::format("{}", hello->id), provision::role_word(hello->role),
+      table.add({fmt::format("{}", hello->id), link::role_word(hello->role),
                  (place.over_air ? "via " : "") + place.port, hello->version,
                  fmt::format("{:08x}", hello->schedule_hash), fmt::format("{}", hello->boot_count),
                  fmt::format("{}", counters.frames_received), share_missed(counters),

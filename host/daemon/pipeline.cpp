@@ -2,7 +2,6 @@
 
 #include <fmt/format.h>
 
-#include <bit>
 #include <map>
 
 #include "host/filter/config.hpp"
@@ -179,15 +178,13 @@ void Pipeline::log_duplicate_tag() {
 void Pipeline::log_faults() {
   log_duplicate_tag();
   if (!localizer_) return;
-  // At the 1st, 2nd, 4th, 8th ... sample, so that a persistent fault does not fill the log.
   const std::uint64_t implausible = localizer_->implausible();
-  if (std::bit_width(implausible) != std::bit_width(logged_implausible_)) {
+  if (logged_implausible_.is_due(implausible)) {
     log_(fmt::format(
         "robot: {} physically impossible samples dropped so far; check the source of its odometry, "
         "IMU, GNSS and poses",
         implausible));
   }
-  logged_implausible_ = implausible;
   // A finding once, and again only after it was gone.
   const auto finding = localizer_->finding();
   if (finding && !has_finding_)

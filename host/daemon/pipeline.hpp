@@ -17,6 +17,7 @@
 #include "host/daemon/config.hpp"
 #include "host/daemon/input_watch.hpp"
 #include "host/daemon/localizer.hpp"
+#include "host/daemon/log_doubling.hpp"
 #include "host/daemon/pose_message.hpp"
 #include "host/daemon/session.hpp"
 #include "host/io/log_event.hpp"
@@ -126,7 +127,7 @@ class Pipeline {
   double now_s_ = 0.0;
   std::optional<std::pair<filter::State, filter::Reason>> pose_state_;  // of the last pose
   double last_pose_s_ = 0.0;                                            // host time
-  std::uint64_t logged_implausible_ = 0;                                // samples
+  LogDoubling logged_implausible_;                                      // samples
   bool has_finding_ = false;
   std::vector<std::uint64_t> node_reports_;  // as of the last log_faults()
   // Two nodes that report one tag, and in how many periods in a row.

@@ -60,36 +60,14 @@ Json json_of(const std::optional<double>& value) {
   return value ? Json(*value) : Json(nullptr);
 }
 
-std::string_view role_word(const groma_Hello& hello) {
-  switch (link::number_in(hello.role)) {
-    case groma_Role_ROLE_ANCHOR:
-      return "anchor";
-    case groma_Role_ROLE_TAG:
-      return "tag";
-    default:
-      return "unconfigured";
-  }
-}
-
-std::string_view sync_word(const groma_NetworkStatus& network) {
-  switch (link::number_in(network.state)) {
-    case groma_SyncState_SYNC_LOCKED:
-      return "locked";
-    case groma_SyncState_SYNC_COASTING:
-      return "coasting";
-    default:
-      return "searching";
-  }
-}
-
 Json node_of(const NodeStatus& status) {
   Json out{
       {"id", nullptr}, {"role", nullptr}, {"network_id", nullptr}, {"version", nullptr}, {"sync", nullptr}};
   if (status.tag_id) out["id"] = *status.tag_id;
-  if (status.network != nullptr) out["sync"] = sync_word(*status.network);
+  if (status.network != nullptr) out["sync"] = link::sync_word(status.network->state);
   if (status.hello == nullptr) return out;
   out["id"] = status.hello->id;
-  out["role"] = role_word(*status.hello);
+  out["role"] = link::role_word(status.hello->role);
   out["network_id"] = status.hello->network_id;
   out["version"] = status.hello->version;
   if (status.hello->radio_error[0] != '\0') out["radio_error"] = status.hello->radio_error;

@@ -3,7 +3,6 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <bit>
 #include <cmath>
 #include <cstring>
 #include <iterator>
@@ -90,15 +89,13 @@ link::ReadResult RobotCanLink::read(std::span<std::uint8_t> out) {
   return {bytes, socket_->gone() && bytes == 0};
 }
 
-// Reports the 1st, 2nd, 4th, 8th ... bad value.
 std::string RobotCanLink::take_news() {
   std::string news = socket_->take_news();
   const std::uint64_t bad = decoder_.counters().bad_value;
-  if (std::bit_width(bad) != std::bit_width(reported_bad_values_)) {
+  if (reported_bad_values_.is_due(bad)) {
     news += fmt::format("{}can:{}: {} values not used so far; the last: {}", news.empty() ? "" : "; ",
                         interface_, bad, decoder_.last_problem());
   }
-  reported_bad_values_ = bad;
   return news;
 }
 

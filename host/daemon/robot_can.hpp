@@ -10,6 +10,7 @@
 #include <utility>
 
 #include "host/daemon/can_signals.hpp"
+#include "host/daemon/log_doubling.hpp"
 #include "host/link/byte_link.hpp"
 #include "host/link/can_socket.hpp"
 #include "host/link/reconnecting_link.hpp"
@@ -67,7 +68,7 @@ class RobotCanLink : public link::ByteLink {
   CanSignalDecoder decoder_;
   std::string lines_;     // not yet read completely
   std::size_t read_ = 0;  // of lines_
-  std::uint64_t reported_bad_values_ = 0;
+  LogDoubling reported_bad_values_;
 };
 
 // "can:INTERFACE", the link's name in messages.

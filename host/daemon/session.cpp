@@ -90,12 +90,10 @@ void Session::robot_bytes(std::span<const std::uint8_t> bytes, double now_s, std
   while (const auto message = input.next()) {
     std::visit([&](const auto& sample) { take(sample, now_s); }, *message);
   }
-  // Only the 1st, 2nd, 4th, 8th ... dropped line is reported, so that a faulty sender does not fill the log.
   const std::uint64_t dropped = robot_counters().dropped();
-  if (std::bit_width(dropped) != std::bit_width(robot_lines_dropped_)) {
+  if (robot_lines_dropped_.is_due(dropped)) {
     say(fmt::format("robot: {} lines dropped so far; the last: {}", dropped, input.last_problem()));
   }
-  robot_lines_dropped_ = dropped;
 }
 
 void Session::node_reopened(std::size_t node) {

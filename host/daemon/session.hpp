@@ -27,6 +27,7 @@
 #include <variant>
 #include <vector>
 
+#include "host/daemon/log_doubling.hpp"
 #include "host/daemon/measurement_sink.hpp"
 #include "host/daemon/odometry_merger.hpp"
 #include "host/daemon/robot_clock.hpp"
@@ -209,7 +210,7 @@ class Session {
   SessionConfig config_;
   std::deque<Node> nodes_;
   std::deque<RobotInput> robots_;
-  std::uint64_t robot_lines_dropped_ = 0;  // as of the last check
+  LogDoubling robot_lines_dropped_;
   RobotClock robot_clock_;
   OdometryMerger merger_;
   std::optional<double> last_odometry_s_;

@@ -38,22 +38,10 @@ class Listener : public link::NodeSink {
     facts_.node.network_id = hello.network_id;
     facts_.node.version = hello.version;
     facts_.node.radio_error = hello.radio_error;
-    switch (link::number_in(hello.role)) {
-      case groma_Role_ROLE_TAG:
-        facts_.node.role = "tag";
-        break;
-      case groma_Role_ROLE_ANCHOR:
-        facts_.node.role = "anchor";
-        break;
-      default:
-        facts_.node.role = "unconfigured";
-    }
+    facts_.node.role = link::role_word(hello.role);
   }
   void on_network_status(const groma_NetworkStatus& status) override {
-    const std::uint32_t state = link::number_in(status.state);
-    facts_.node.sync = state == groma_SyncState_SYNC_LOCKED     ? "locked"
-                       : state == groma_SyncState_SYNC_COASTING ? "coasting"
-                                                                : "searching";
+    facts_.node.sync = link::sync_word(status.state);
   }
   [[nodiscard]] bool has_hello() const noexcept { return has_hello_; }
 

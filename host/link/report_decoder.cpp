@@ -44,6 +44,28 @@ std::vector<std::uint8_t> request_frame(const groma_HostToNode& message) {
   return frame;
 }
 
+const char* role_word(const groma_Role& role) noexcept {
+  switch (number_in(role)) {
+    case groma_Role_ROLE_TAG:
+      return "tag";
+    case groma_Role_ROLE_ANCHOR:
+      return "anchor";
+    default:
+      return "unconfigured";
+  }
+}
+
+const char* sync_word(const groma_SyncState& state) noexcept {
+  switch (number_in(state)) {
+    case groma_SyncState_SYNC_LOCKED:
+      return "locked";
+    case groma_SyncState_SYNC_COASTING:
+      return "coasting";
+    default:
+      return "searching";
+  }
+}
+
 std::vector<std::uint8_t> time_request(double now_s) {
   groma_HostToNode message = groma_HostToNode_init_zero;
   message.which_body = groma_HostToNode_time_request_tag;

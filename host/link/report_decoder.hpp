@@ -27,6 +27,11 @@ template <typename Enum>
   return number;
 }
 
+// "tag", "anchor", else "unconfigured".
+[[nodiscard]] const char* role_word(const groma_Role& role) noexcept;
+// "locked", "coasting", else "searching".
+[[nodiscard]] const char* sync_word(const groma_SyncState& state) noexcept;
+
 // Receives the messages of a ReportDecoder. Strings in them are zero-terminated.
 class NodeSink {
  public:

@@ -14,6 +14,7 @@
 #include "firmware/core/mac/superframe.hpp"
 #include "firmware/core/node/config.hpp"
 #include "firmware/core/node/messages.hpp"
+#include "host/link/report_decoder.hpp"
 #include "host/provision/node_client.hpp"
 
 namespace groma::provision {
@@ -253,7 +254,7 @@ class Configuring {
         NodeFault::kWrongNode,
         fmt::format("is configured as {} {} of network {}; check which node is on this port ('groma "
                     "identify'), or make it {} by --reassign",
-                    role_word(hello.role), hello.id, hello.network_id, node_.id)};
+                    link::role_word(hello.role), hello.id, hello.network_id, node_.id)};
   }
 
   void write() {
@@ -529,17 +530,6 @@ SurveyOutcome survey_from(const std::string& port, unsigned baud, model::NodeId 
     }
   });
   return surveyed;
-}
-
-const char* role_word(groma_Role role) {
-  switch (link::number_in(role)) {
-    case groma_Role_ROLE_TAG:
-      return "tag";
-    case groma_Role_ROLE_ANCHOR:
-      return "anchor";
-    default:
-      return "unconfigured";
-  }
 }
 
 }  // namespace groma::provision

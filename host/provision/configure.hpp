@@ -121,7 +121,4 @@ struct SurveyOutcome {
 [[nodiscard]] SurveyOutcome survey_from(const std::string& port, unsigned baud, model::NodeId anchor,
                                         std::uint16_t exchanges, const LinkOpener& open = link::open_link);
 
-// "tag", "anchor" or "unconfigured".
-[[nodiscard]] const char* role_word(groma_Role role);
-
 }  // namespace groma::provision

@@ -11,6 +11,7 @@
 #include <nlohmann/json.hpp>
 
 #include "firmware/sim/emulator/firmware_image.hpp"
+#include "host/link/report_decoder.hpp"
 #include "host/provision/configure.hpp"
 #include "test/host/provision/emulated_part.hpp"
 #include "test/host/provision/emulated_probe.hpp"
@@ -49,7 +50,8 @@ TEST(BringUp, TheShippedImageIsFlashedConfiguredAndRanges) {
   LiveSite site(&contents);
   std::string plan = "schema: 1\nnetwork_id: 77\nnodes:\n";
   for (const PlannedNode& node : site.plan().nodes) {
-    plan += fmt::format("  - {{id: {}, role: {}, port: {}}}\n", node.id, role_word(node.role), node.port);
+    plan +=
+        fmt::format("  - {{id: {}, role: {}, port: {}}}\n", node.id, link::role_word(node.role), node.port);
   }
   scratch.write("plan.yaml", plan);
   for (const char* result : {"configured", "unchanged"}) {

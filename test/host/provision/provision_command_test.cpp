@@ -27,6 +27,7 @@
 #include "firmware/core/node/config.hpp"
 #include "firmware/core/node/image_identity.hpp"
 #include "host/link/byte_link.hpp"
+#include "host/link/report_decoder.hpp"
 #include "host/provision/configure.hpp"
 #include "test/host/provision/emulated_part.hpp"
 #include "test/host/provision/emulated_probe.hpp"
@@ -91,7 +92,7 @@ class CommandTest : public ::testing::Test {
     nodes_ = site_.plan().nodes;
     for (std::size_t i = 0; i < nodes_.size(); ++i) {
       plan += fmt::format("  - {{id: {}, role: {}, port: {}, probe: {}}}\n", nodes_[i].id,
-                          role_word(nodes_[i].role), nodes_[i].port, kProbes.at(i));
+                          link::role_word(nodes_[i].role), nodes_[i].port, kProbes.at(i));
       parts_.push_back(std::make_unique<EmulatedPart>());
       probes_.push_back(std::make_unique<EmulatedProbe>(scratch_ / fmt::format("{}.sock", kProbes.at(i)),
                                                         parts_.back().get()));
