@@ -11,6 +11,7 @@
 #include <fstream>
 #include <map>
 
+#include "host/daemon/session.hpp"
 #include "host/io/exit_code.hpp"
 #include "test/host/doctor/doctor_fixture.hpp"
 
@@ -41,19 +42,14 @@ class Doctor : public DoctorTest {
     }
   };
 
-  Result examine(SimulatedSite& site, std::vector<std::string> before = {}) {
-    std::vector<std::string> arguments = std::move(before);
-    for (const char* word : {GROMA_PATH, "doctor", "--json", "--for", "2", "--config"}) {
-      arguments.emplace_back(word);
+  Result examine(SimulatedSite& site, const std::vector<std::string>& before = {}) {
+    Result result = examine_once(site, before);
+    // A busy computer that holds up the site makes its odometry late, which is one more fault.
+    for (int again = 0; again < 3 && site.robot_clock_s == 0.0 && says_odometry_is_late(result.report);
+         ++again) {
+      run_site(site, Session::kFaultShown_s / kSpeed);
+      result = examine_once(site, before);
     }
-    arguments.push_back((folder_ / "gromad.yaml").string());
-    const ChildResult child = run_beside(site, arguments);
-    EXPECT_EQ(child.err, "");
-    Result result;
-    result.exit_code = child.exit_code;
-    result.text = child.out;
-    result.report = json::parse(child.out, nullptr, false);
-    if (result.report.is_discarded()) ADD_FAILURE() << child.exit_code << ": " << child.out;
     return result;
   }
   static void expect_first(const Result& result, const std::string& fault, const std::string& kind,
@@ -78,6 +74,35 @@ class Doctor : public DoctorTest {
                            [](const json& object) { return object.at("class") == "STATUS"; }) >= 3;
     })) << gromad.log();
     client_.reset();
+  }
+
+ private:
+  Result examine_once(SimulatedSite& site, const std::vector<std::string>& before) {
+    std::vector<std::string> arguments = before;
+    for (const char* word : {GROMA_PATH, "doctor", "--json", "--for", "2", "--config"}) {
+      arguments.emplace_back(word);
+    }
+    arguments.push_back((folder_ / "gromad.yaml").string());
+    const ChildResult child = run_beside(site, arguments);
+    EXPECT_EQ(child.err, "");
+    Result result;
+    result.exit_code = child.exit_code;
+    result.text = child.out;
+    result.report = json::parse(child.out, nullptr, false);
+    if (result.report.is_discarded()) ADD_FAILURE() << child.exit_code << ": " << child.out;
+    return result;
+  }
+  static bool says_odometry_is_late(const json& report) {
+    return std::any_of(report.at("checks").begin(), report.at("checks").end(), [](const json& check) {
+      return check.at("fault") == "clock-offset" && check.at("name") == "robot";
+    });
+  }
+  static void run_site(SimulatedSite& site, double for_s) {
+    const double until_s = site.site_time_s() + for_s * kSpeed;
+    while (site.site_time_s() < until_s) {
+      site.step();
+      std::this_thread::sleep_for(std::chrono::milliseconds(2));
+    }
   }
 };
 
