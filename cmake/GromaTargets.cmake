@@ -38,6 +38,9 @@ if(GROMA_SANITIZE)
       -fno-omit-frame-pointer
       -w
   )
+  if(GROMA_SANITIZE_NOT)
+    target_compile_options(groma_build_options INTERFACE -fno-sanitize=${GROMA_SANITIZE_NOT})
+  endif()
   target_link_options(groma_build_options INTERFACE -fsanitize=${GROMA_SANITIZE})
 endif()
 target_include_directories(groma_build_options INTERFACE ${CMAKE_SOURCE_DIR})
@@ -87,14 +90,15 @@ function(groma_executable)
 endfunction()
 
 # groma_test(NAME <name> SOURCES ... [DEPENDS ...] [DEFINITIONS ...] [LABELS ...] [SHARDS n] [TIMEOUT s]
-#            [STATISTICS] [LONG pattern] [SLOW] [UNSANITIZED]): a GoogleTest program.
+#            [STATISTICS] [LONG pattern] [UNEMULATED pattern] [SLOW] [UNSANITIZED]): a GoogleTest program.
 # Each of its n shards is one CTest test: one process that runs every n-th case. A program with the label
 # "long" is only built with GROMA_LONG_TESTS. So are the cases that match LONG (a GoogleTest filter), as a
 # separate CTest test. SLOW: `scripts/test --quick` leaves it out. STATISTICS: the program does not run under
 # a sanitizer, nor do cases named OverMany, because many drives execute no other code than one. UNSANITIZED:
-# under a sanitizer the program runs only with GROMA_LONG_TESTS, as do the cases that match GROMA_UNSANITIZED.
+# under a sanitizer the program runs only with GROMA_LONG_TESTS, as do the cases that match GROMA_UNSANITIZED,
+# and in QEMU those that match UNEMULATED.
 function(groma_test)
-  cmake_parse_arguments(arg "STATISTICS;SLOW;UNSANITIZED" "NAME;TIMEOUT;SHARDS;LONG" "SOURCES;DEPENDS;DEFINITIONS;LABELS" ${ARGN})
+  cmake_parse_arguments(arg "STATISTICS;SLOW;UNSANITIZED" "NAME;TIMEOUT;SHARDS;LONG;UNEMULATED" "SOURCES;DEPENDS;DEFINITIONS;LABELS" ${ARGN})
   if(("long" IN_LIST arg_LABELS AND NOT GROMA_LONG_TESTS) OR (arg_STATISTICS AND GROMA_SANITIZE)
      OR (arg_UNSANITIZED AND GROMA_SANITIZE AND NOT GROMA_LONG_TESTS))
     return()
@@ -128,6 +132,9 @@ function(groma_test)
     if(NOT GROMA_LONG_TESTS)
       string(APPEND left_out ":${GROMA_UNSANITIZED}")
     endif()
+  endif()
+  if(arg_UNEMULATED AND GROMA_BARE_METAL AND NOT GROMA_LONG_TESTS)
+    string(APPEND left_out ":${arg_UNEMULATED}")
   endif()
   if(arg_LONG)
     string(APPEND left_out ":${arg_LONG}")
