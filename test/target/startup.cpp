@@ -88,7 +88,8 @@ void reset_handler() {
   std::memcpy(&data_start, &data_load, static_cast<std::size_t>(&data_end - &data_start));
   std::memset(&bss_start, 0, static_cast<std::size_t>(&bss_end - &bss_start));
   initialise_monitor_handles();
-  __libc_init_array();
+  // GoogleTest's flags take their values from the environment while they are constructed.
   const int count = read_arguments();
+  __libc_init_array();
   std::exit(tests_main(count, arguments.data()));
 }
