@@ -175,7 +175,9 @@ Opinion judge_position(const AnchorEvidence& evidence, const model::AnchorCalibr
   if (sigma_xy_m > std::max(kWeakSigma_m, by_distance_m) || is_plausible(evidence.side, evidence.inflation)) {
     return {AnchorVerdict::kWeak, advice};
   }
-  if (evidence.held_out_z && *evidence.held_out_z > kHeldOutLimit) {
+  // Reflections at the end of the drive say nothing against a survey.
+  const bool is_reflected = evidence.surveyed && contradicts_itself(evidence);
+  if (!is_reflected && evidence.held_out_z && *evidence.held_out_z > kHeldOutLimit) {
     return {AnchorVerdict::kWeak,
             "the end of the drive contradicts its beginning: drive again, and check whether it was moved"};
   }

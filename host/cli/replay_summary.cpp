@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <map>
 #include <utility>
 #include <vector>
 
@@ -17,16 +18,25 @@ double share(std::size_t part, std::size_t whole) {
   return whole == 0 ? 0.0 : static_cast<double>(part) / static_cast<double>(whole);
 }
 
-// Share of the rows after the first kSettling_s that are not TRACKING; 0 if there are none.
-double share_not_tracking(const filter::ReplayResult& result) {
+// Sets the share of the rows after the first kSettling_s that are not TRACKING, and what they are instead.
+void judge_states(const filter::ReplayResult& result, ReplaySummary& out) {
   std::size_t rows = 0;
   std::size_t other = 0;
+  std::map<std::pair<std::string_view, std::string_view>, std::size_t> others;
   for (std::size_t i = 0; i < result.rows.size(); ++i) {
     if (result.rows[i].t_s < result.rows.front().t_s + kSettling_s) continue;
     ++rows;
-    if (result.states[i].state != filter::State::kTracking) ++other;
+    const auto& [state, reason] = result.states[i];
+    if (state == filter::State::kTracking) continue;
+    ++other;
+    ++others[{filter::state_name(state), filter::reason_name(reason)}];
   }
-  return share(other, rows);
+  out.other_share = share(other, rows);
+  if (others.empty()) return;
+  const auto& [words, count] = *std::max_element(
+      others.begin(), others.end(), [](const auto& a, const auto& b) { return a.second < b.second; });
+  out.usual_other =
+      words.second.empty() ? std::string(words.first) : fmt::format("{} ({})", words.first, words.second);
 }
 
 std::string counted(std::size_t count, const char* what) {
@@ -37,12 +47,12 @@ std::string counted(std::size_t count, const char* what) {
 
 ReplaySummary summarize(const filter::ReplayResult& result, filter::Model model) {
   using Outcome = filter::RangeOutcome;
-  ReplaySummary out{.other_share = share_not_tracking(result),
-                    .ranges_seen = result.ranges_seen,
+  ReplaySummary out{.ranges_seen = result.ranges_seen,
                     .ranges_used = result.counters.ranges[Outcome::kUsed],
                     .ranges_gated = result.counters.ranges[Outcome::kGated],
                     .slips = result.counters.slips,
                     .relocations = result.relocations};
+  judge_states(result, out);
   for (const auto& of : result.states)
     out.state_shares[filter::state_name(of.state)] += 1.0 / static_cast<double>(result.states.size());
   if (model == filter::Model::kOdometry) return out;
@@ -73,10 +83,11 @@ std::string ranges_text(const ReplaySummary& summary) {
 
 void warn_of(const ReplaySummary& summary, Warnings& warnings) {
   if (summary.is_mostly_not_tracking) {
-    warnings.add(fmt::format(
-        "mostly not TRACKING: {:.0f} % of the poses after the first {:.0f} s are in another state; do "
-        "not rely on them, and look at one of these times with groma explain",
-        100.0 * summary.other_share, kSettling_s));
+    warnings.add(
+        fmt::format("mostly not TRACKING: {:.0f} % of the poses after the first {:.0f} s are in another "
+                    "state, most often {}; "
+                    "look at one of these times with groma explain",
+                    100.0 * summary.other_share, kSettling_s, summary.usual_other));
   }
   if (summary.is_mostly_gated) {
     warnings.add(

@@ -15,6 +15,7 @@ namespace groma::cli {
 struct ReplaySummary {
   std::map<std::string_view, double> state_shares;  // share of the rows by state
   double other_share = 0.0;                         // of the rows after the first 10 s: not TRACKING
+  std::string usual_other;                          // the most frequent state of these, with its reason
   std::size_t ranges_seen = 0;
   std::size_t ranges_used = 0;
   std::size_t ranges_gated = 0;
