@@ -116,7 +116,8 @@ void add_help_command(CLI::App& app) {
   const auto words = std::make_shared<std::vector<std::string>>();
   CLI::App* command = app.add_subcommand(
       "help", "Print the help of a command. Without a command it prints the list of all commands.");
-  command->add_option("COMMAND", *words, "Its name, such as calibrate or surface fit")->type_name("COMMAND");
+  command->add_option("COMMAND", *words, "Its name, such as calibrate or surface fit")
+      ->type_name(std::string(kCommandValue));
   command->callback([&app, words] {
     const CLI::App* of = &app;
     for (const std::string& word : *words) {

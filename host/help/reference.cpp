@@ -129,7 +129,13 @@ void append_cases(const CLI::App& app, const std::string& before, Cases& out) {
   }
   own.runs = own.words.empty();
   for (const ShownOption& option : options_of(app)) {
-    if (option.positional) continue;
+    if (option.positional) {
+      if (option.value != kCommandValue) continue;
+      for (const CLI::App* command : commands_of(*app.get_parent()))
+        own.words.push_back({command->get_name(), first_sentence(command->get_description())});
+      own.runs = false;
+      continue;
+    }
     for (const std::string& name : option.names) {
       own.words.push_back({name, first_sentence(option.text)});
       if (!option.words.empty()) out.values.push_back({before, name, option.words});

@@ -9,6 +9,9 @@
 
 namespace groma::help {
 
+// Placeholder of an argument that is a command of the parent.
+inline constexpr std::string_view kCommandValue = "COMMAND";
+
 // An option as it is shown.
 struct ShownOption {
   std::vector<std::string> names;

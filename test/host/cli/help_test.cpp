@@ -243,6 +243,7 @@ TEST(Reference, CompletionKnowsCommandsOptionsAndTheirWords) {
   };
   EXPECT_EQ(after({"cal"}), "calibrate\n");
   EXPECT_EQ(after({"su"}), "surface survey\n");
+  EXPECT_EQ(after({"help", "cal"}), "calibrate\n");
   EXPECT_EQ(after({"surface", ""}), "fit -h --help\n");
   EXPECT_EQ(after({"surface", "fit", "--sp"}), "--spacing\n");
   EXPECT_EQ(after({"calibrate", "--known"}), "--known-anchors\n");
@@ -272,6 +273,7 @@ TEST(Reference, CompletionForZshKnowsTheSame) {
   };
   EXPECT_THAT(after({"cal"}), testing::StartsWith("calibrate:"));
   EXPECT_THAT(after({"su"}), testing::ContainsRegex("^surface:.+\nsurvey:.+\n$"));
+  EXPECT_THAT(after({"help", "cal"}), testing::StartsWith("calibrate:"));
   EXPECT_THAT(after({"surface", ""}), testing::StartsWith("fit:"));
   EXPECT_THAT(after({"surface", "fit", "--sp"}), testing::StartsWith("--spacing:"));
   EXPECT_THAT(after({"calibrate", "--known"}), testing::StartsWith("--known-anchors:"));

@@ -96,7 +96,7 @@ TEST_F(ConfigFile, ReadsLearnAndLog) {
       error_with(line, "site.yaml"),
       HasSubstr("calibration needs keys, and is a single value; write it as {file: ...}; its keys are file, "
                 "drive_s, learn, output"));
-  EXPECT_THAT(error_with("speed: 4", "model: smidt"),
+  EXPECT_THAT(error_with("model: inflated", "model: smidt"),
               HasSubstr("model is 'smidt'; did you mean 'schmidt'? it has to be one of odometry, "));
   EXPECT_THAT(error_with(line, "{file: a.yaml, output: b.yaml}"), HasSubstr("requires 'drive_s' or 'learn'"));
   EXPECT_THAT(error_with("speed: 4", "log: ''"), HasSubstr("log is empty"));
