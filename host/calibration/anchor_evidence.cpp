@@ -164,6 +164,7 @@ void gather_anchor_evidence(Site& site, std::span<const std::vector<FittedRange>
     out.inflation = inflation[i];
     out.moved = move_evidence(site, i);
     out.duplicate_m = site.paths[i].duplicate_m;
+    out.surveyed = site.fits[i].problem.position.surveyed;
     out.rows = site.fits[i].problem.rows.size();
     out.held_out_z = site.held_out[i].share_of_scale;
     judge_rows(site, i, fitted[i], out);

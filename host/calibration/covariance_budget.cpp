@@ -225,6 +225,11 @@ std::vector<BudgetTerm> covariance_budget(const Site& site, std::size_t anchor,
   for (const Rule& rule : kRules) {
     Eigen::MatrixXd adds = rule.adds(inputs);
     if (adds.size() == 0) continue;
+    // A survey's position does not depend on the ranges.
+    if (inputs.surveyed()) {
+      adds.topRows<3>().setZero();
+      adds.leftCols<3>().setZero();
+    }
     inputs.so_far += adds;
     out.push_back({.name = rule.name, .adds = std::move(adds)});
   }

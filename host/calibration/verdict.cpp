@@ -112,6 +112,31 @@ Opinion judge_move(const MoveEvidence& moved, bool is_placed) {
                                      ", and drive again" + unplaced};
 }
 
+// Of an anchor whose position the ranges determine: whether they can.
+std::optional<Opinion> judge_unsurveyed(const AnchorEvidence& evidence,
+                                        const model::AnchorCalibration& anchor) {
+  const std::string where = drive_advice(evidence, anchor.position_m);
+  if (is_hardly_los(evidence)) return Opinion{AnchorVerdict::kWeak, "hardly ever in line of sight: " + where};
+  if (contradicts_itself(evidence)) {
+    if (evidence.los_states->far_share + evidence.los_states->short_share > kTwoAnchors) {
+      return Opinion{
+          AnchorVerdict::kWeak,
+          "most of its ranges contradict the others: check whether two anchors have this id; else " + where};
+    }
+    return Opinion{AnchorVerdict::kWeak, "its ranges contradict each other, as reflections do: " + where};
+  }
+  return std::nullopt;
+}
+
+// Of an anchor whose position is known: whether its ranges contradict that. Reflections only lengthen them.
+std::optional<Opinion> judge_survey(const AnchorEvidence& evidence) {
+  if (!evidence.los_states || !(evidence.los_states->short_share > kShortLimit)) return std::nullopt;
+  return Opinion{
+      AnchorVerdict::kWeak,
+      "its ranges are too short for its surveyed position: check that position, and whether two anchors "
+      "have this id"};
+}
+
 // From number and quality of the ranges; none if these are in order.
 std::optional<Opinion> judge_ranges(const AnchorEvidence& evidence, const model::AnchorCalibration& anchor) {
   const std::size_t all = anchor.ranges_used + anchor.ranges_rejected;
@@ -130,16 +155,9 @@ std::optional<Opinion> judge_ranges(const AnchorEvidence& evidence, const model:
                                              metres((*evidence.duplicate_m - anchor.position_m).norm()) +
                                              " apart: check whether two anchors have this id"};
   }
-  const std::string where = drive_advice(evidence, anchor.position_m);
-  if (is_hardly_los(evidence)) return Opinion{AnchorVerdict::kWeak, "hardly ever in line of sight: " + where};
-  if (contradicts_itself(evidence)) {
-    if (evidence.los_states->far_share + evidence.los_states->short_share > kTwoAnchors) {
-      return Opinion{
-          AnchorVerdict::kWeak,
-          "most of its ranges contradict the others: check whether two anchors have this id; else " + where};
-    }
-    return Opinion{AnchorVerdict::kWeak, "its ranges contradict each other, as reflections do: " + where};
-  }
+  std::optional<Opinion> opinion =
+      evidence.surveyed ? judge_survey(evidence) : judge_unsurveyed(evidence, anchor);
+  if (opinion) return opinion;
   if (evidence.flicker > kDuplicateFlicker && evidence.count_ratio > kDuplicateCountRatio) {
     return Opinion{AnchorVerdict::kWeak,
                    "its ranges differ from one to the next: check whether two anchors answer to this id"};
@@ -157,7 +175,9 @@ Opinion judge_position(const AnchorEvidence& evidence, const model::AnchorCalibr
   if (sigma_xy_m > std::max(kWeakSigma_m, by_distance_m) || is_plausible(evidence.side, evidence.inflation)) {
     return {AnchorVerdict::kWeak, advice};
   }
-  if (evidence.held_out_z && *evidence.held_out_z > kHeldOutLimit) {
+  // Reflections at the end of the drive say nothing against a survey.
+  const bool is_reflected = evidence.surveyed && contradicts_itself(evidence);
+  if (!is_reflected && evidence.held_out_z && *evidence.held_out_z > kHeldOutLimit) {
     return {AnchorVerdict::kWeak,
             "the end of the drive contradicts its beginning: drive again, and check whether it was moved"};
   }

@@ -40,6 +40,7 @@ struct MoveEvidence {
 // Statistics of one anchor beside its solution.
 struct AnchorEvidence {
   TagSpread spread;                            // of the antennas that ranged to it
+  bool surveyed = false;                       // its position is known, and only its biases are estimated
   std::size_t rows = 0;                        // ranges with a pose
   double nearest_m = 0.0;                      // closest antenna
   std::optional<MirrorHypothesis> mirror;      // across the plane of the tags

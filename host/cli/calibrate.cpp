@@ -210,22 +210,33 @@ void add_calibrate(CLI::App& app, Action& action) {
       ->add_option(
           "DATASET_OR_LOG", options->dataset,
           "Folder of the drive (dataset.yaml, ranges.csv, tags.csv, poses), or the log that gromad recorded")
-      ->required();
-  command->add_option("--poses", options->poses,
-                      "Poses to calibrate from, instead of pose_prior.csv (or, without it, groundtruth.csv)");
-  command->add_option("--survey", options->survey,
-                      "Ranges between the anchors, as groma survey prints them: all anchors are then solved "
-                      "in one problem");
+      ->required()
+      ->type_name("DATASET_OR_LOG");
+  command
+      ->add_option("--poses", options->poses,
+                   "Poses to calibrate from, instead of pose_prior.csv (or, without it, groundtruth.csv)")
+      ->type_name("FILE");
+  command
+      ->add_option(
+          "--survey", options->survey,
+          "Ranges between the anchors, as groma survey prints them: all anchors are then solved in one "
+          "problem")
+      ->type_name("FILE");
   options->selection.add_options(*command);
   command->add_flag(
       "--known-anchors", options->known_anchors,
       "Take the positions of anchors.csv as surveyed (sigma 0.02 m) and estimate only the biases");
-  command->add_option(
-      "--update", options->update,
-      "Update this earlier calibration: anchors that did not move are combined with it, moved ones are "
-      "reported, new ones added");
-  command->add_option("-o,--output", options->output, "Calibration file to write (YAML)")->required();
-  command->add_option("--report", options->report, "Folder for a report, report.html, to open in a browser");
+  command
+      ->add_option(
+          "--update", options->update,
+          "Update this earlier calibration: anchors that did not move are combined with it, moved ones "
+          "are reported, new ones added")
+      ->type_name("FILE");
+  command->add_option("-o,--output", options->output, "Calibration file to write (YAML)")
+      ->required()
+      ->type_name("FILE");
+  command->add_option("--report", options->report, "Folder for a report, report.html, to open in a browser")
+      ->type_name("DIR");
   command->add_flag("--json", options->json, "Print one JSON object");
   command->callback([options, &action] { action = [options] { return run(*options); }; });
 }

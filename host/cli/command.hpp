@@ -33,4 +33,7 @@ void add_smooth(CLI::App& app, Action& action);
 void add_surface(CLI::App& app, Action& action);
 void add_survey(CLI::App& app, Action& action);
 
+// Adds examples, and the pages that explain it, to the help of each command. Call it after the others.
+void add_guides(CLI::App& app);
+
 }  // namespace groma::cli

@@ -56,6 +56,7 @@ int run(const ConfigureOptions& options) {
   }
   provision::ConfigureOptions configuring;
   configuring.reassign = options.reassign;
+  configuring.progress = [](const char* step) { show_progress(step); };
 
   Warnings warnings;
   for (const std::string& text : provision::plan_air(plan.nodes.front().config, plan.baud).warnings) {
@@ -96,11 +97,14 @@ void add_configure(CLI::App& app, Action& action) {
       "configure",
       "Write a site plan's configuration into each node, read it back and apply it. A node that already has "
       "it is skipped: after an interruption repeat the command.");
-  command->add_option("--plan", options->plan, "The site plan")->required();
-  command->add_option("--node", options->nodes, "Only these nodes, such as 1,5");
-  command->add_option("--link", options->link, "Port instead of the plan's; with one --node");
-  command->add_option("--via", options->via,
-                      "Port of a node that relays over the air to the nodes that have no port");
+  command->add_option("--plan", options->plan, "The site plan, a YAML file")->required()->type_name("FILE");
+  command->add_option("--node", options->nodes, "Only these nodes, such as 1,5")->type_name("IDS");
+  command->add_option("--link", options->link, "Port instead of the plan's; with one --node")
+      ->type_name("PORT");
+  command
+      ->add_option("--via", options->via,
+                   "Port of a node that relays over the air to the nodes that have no port")
+      ->type_name("PORT");
   command->add_flag("--reassign", options->reassign, "Also nodes that are configured under another id");
   command->add_flag("--json", options->json, "Print one JSON object");
   command->callback([options, &action] { action = [options] { return run(*options); }; });

@@ -10,6 +10,7 @@
 
 #include "host/cli/command.hpp"
 #include "host/cli/filter_input.hpp"
+#include "host/cli/replay_summary.hpp"
 #include "host/cli/terminal.hpp"
 #include "host/cli/warnings.hpp"
 #include "host/filter/replay.hpp"
@@ -41,6 +42,7 @@ convert::Converted convert_with_estimates(const ConvertOptions& options, Warning
   FilterInput::warn_of_mismatch(result, warnings);
   FilterInput::warn_of_ranges(result.counters, warnings);
   FilterInput::warn_of_samples(result.counters, warnings);
+  warn_of(summarize(result, drive.options.config.model), warnings);
   if (result.rows.empty()) {
     warnings.add("there are no poses: no start was found from priors, ranges and motion");
   } else if (result.counters.ranges[filter::RangeOutcome::kUsed] == 0) {

@@ -2,11 +2,9 @@
 #include "host/simulation/demo.hpp"
 
 #include <fmt/format.h>
-#include <unistd.h>
 
 #include <cmath>
 #include <cstdint>
-#include <cstdio>
 #include <filesystem>
 #include <memory>
 #include <optional>
@@ -117,24 +115,6 @@ void write_report(const std::filesystem::path& folder, const sim::Scenario& scen
   io::write_file(folder / "report.html", format_demo_report(scenario, result, seed));
 }
 
-// One line on the terminal that is overwritten, and cleared at the end.
-class Progress {
- public:
-  void show(std::string_view phase, double done) const {
-    if (!terminal_) return;
-    constexpr int kWidth = 40;
-    const int filled = static_cast<int>(std::lround(done * kWidth));
-    fmt::print(stderr, "\r{:<18} [{:<{}}] {:3.0f} %", phase,
-               std::string(static_cast<std::size_t>(filled), '#'), kWidth, 100.0 * done);
-  }
-  void clear() const {
-    if (terminal_) fmt::print(stderr, "\r\033[K");
-  }
-
- private:
-  bool terminal_ = ::isatty(STDERR_FILENO) == 1;
-};
-
 int run(const DemoOptions& options) {
   if (options.report) io::make_folder(*options.report);
   const sim::Scenario scenario = options.scenario ? sim::read_scenario(*options.scenario) : sim::paper_hall();
@@ -142,13 +122,11 @@ int run(const DemoOptions& options) {
     throw io::DataError({*options.scenario}, "has one drive: there is none to calibrate on",
                         "describe two: the first calibrates, the second is localized");
   }
-  const Progress progress;
   simulation::DemoOptions demo;
   demo.site.seed = options.seed;
   demo.site.image = chosen_image(options.emulation);
-  demo.progress = [&](std::string_view phase, double done) { progress.show(phase, done); };
+  demo.progress = [](std::string_view phase, double done) { show_progress(phase, done); };
   simulation::DemoResult result = simulation::run_demo(scenario, demo);
-  progress.clear();
   if (options.report) write_report(*options.report, scenario, result, options.seed);
   if (options.json) {
     say_json(to_json(result, options.seed));
@@ -170,13 +148,17 @@ void add_demo(CLI::App& app, Action& action) {
                                          "over pseudo-terminals; a first drive calibrates the anchors, a "
                                          "second is localized by every model and scored.");
   command->add_option("--seed", options->seed, "Determines every result except wall times")
-      ->capture_default_str();
-  command->add_option(
-      "--scenario", options->scenario,
-      "Site, nodes, robot and radio as YAML, with two drives. Default: the source paper's hall");
+      ->capture_default_str()
+      ->type_name("N");
+  command
+      ->add_option("--scenario", options->scenario,
+                   "Site, nodes, robot and radio as YAML, with two drives. Default: the source paper's hall")
+      ->type_name("FILE");
   add_emulation_options(*command, options->emulation);
-  command->add_option("--report", options->report,
-                      "Folder for report.html, the calibration, the estimates and both drives as data sets");
+  command
+      ->add_option("--report", options->report,
+                   "Folder for report.html, the calibration, the estimates and both drives as data sets")
+      ->type_name("DIR");
   command->add_flag("--json", options->json, "Print one JSON object");
   command->callback([options, &action] { action = [options] { return run(*options); }; });
 }

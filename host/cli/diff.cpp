@@ -150,8 +150,8 @@ void add_diff(CLI::App& app, Action& action) {
       "diff",
       "Compare two calibrations of one site: the displacement of each anchor against the uncertainty of "
       "both. Ends with 0 if they are the same within their errors, with 3 if they differ.");
-  command->add_option("A", options->a, "Calibration file, the earlier one")->required();
-  command->add_option("B", options->b, "Calibration file, the later one")->required();
+  command->add_option("A", options->a, "Calibration file, the earlier one")->required()->type_name("FILE");
+  command->add_option("B", options->b, "Calibration file, the later one")->required()->type_name("FILE");
   command->add_flag("--json", options->json, "Print one JSON object");
   command->callback([options, &action] { action = [options] { return run(*options); }; });
 }

@@ -45,7 +45,8 @@ void add_doctor(CLI::App& app, Action& action) {
       ->type_name("FILE");
   command->add_option("--for", options->for_s, "How long to listen to gromad, in seconds")
       ->check(CLI::Range(1.0, 600.0))
-      ->capture_default_str();
+      ->capture_default_str()
+      ->type_name("S");
   command->add_flag("--json", options->json, "Print one JSON object");
   command->callback([options, &action] { action = [options] { return run(*options); }; });
 }

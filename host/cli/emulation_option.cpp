@@ -11,7 +11,8 @@ void add_emulation_options(CLI::App& command, EmulationChoice& choice) {
   command
       .add_option("--image", choice.image,
                   "The image as Intel HEX, with --emulated. Default: the one that the preset dwm1001 builds")
-      ->needs("--emulated");
+      ->needs("--emulated")
+      ->type_name("FILE");
 }
 
 std::shared_ptr<const sim::FirmwareImage> chosen_image(const EmulationChoice& choice) {

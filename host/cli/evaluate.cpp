@@ -1,8 +1,11 @@
 // groma evaluate: scores an estimate against the truth.
 #include <fmt/format.h>
 
+#include <algorithm>
+#include <cstddef>
 #include <memory>
 #include <string>
+#include <vector>
 
 #include <CLI/CLI.hpp>
 
@@ -26,7 +29,10 @@ struct EvaluateOptions {
   bool json = false;
 };
 
-std::string format_table(const evaluation::Evaluation& evaluation) {
+// Below this share of either file a score says little of it.
+constexpr double kLeastScored = 0.5;
+
+std::string format_table(const evaluation::Evaluation& evaluation, const evaluation::Coverage& scored) {
   Table table({"", "mean", "rmse", "std", "max"});
   const auto row = [&](const std::string& name, const evaluation::Statistics& s) {
     table.add({name, fmt::format("{:.4f}", s.mean), fmt::format("{:.4f}", s.rmse),
@@ -42,7 +48,20 @@ std::string format_table(const evaluation::Evaluation& evaluation) {
   text += fmt::format("{} samples", evaluation.samples);
   if (evaluation.nees)
     text += fmt::format(", {:.1f} % inside the 95 % ellipsoid", 100.0 * evaluation.nees->inside_95);
-  return text + '\n';
+  return text + fmt::format("\nscored: {:.1f} % of the estimate, {:.1f} % of the truth\n",
+                            100.0 * scored.estimate, 100.0 * scored.truth);
+}
+
+// The first spans, and the number of all.
+std::string frozen_text(const std::vector<evaluation::FrozenSpan>& spans) {
+  constexpr std::size_t kFirst = 3;
+  std::string list;
+  for (std::size_t i = 0; i < std::min(spans.size(), kFirst); ++i) {
+    list += fmt::format("{}from {:.3f} to {:.3f} s, then jumps by {:.3f} m", i > 0 ? ", " : "",
+                        spans[i].from_s, spans[i].to_s, spans[i].jump_m);
+  }
+  if (spans.size() > kFirst) list += fmt::format(", and {} more times", spans.size() - kFirst);
+  return list;
 }
 
 int run(const EvaluateOptions& options) {
@@ -64,16 +83,24 @@ int run(const EvaluateOptions& options) {
         fmt::format("{}: {} samples have a covariance that is not positive definite; NEES leaves them out",
                     options.estimate, result->samples_without_covariance));
   }
-  for (const evaluation::FrozenSpan& span : evaluation::frozen_spans(truth)) {
-    warnings.add(fmt::format(
-        "{}: repeats one pose from {:.3f} to {:.3f} s, then jumps by {:.3f} m; errors there count, but "
-        "they are errors of the truth",
-        options.truth, span.from_s, span.to_s, span.jump_m));
+  if (const auto spans = evaluation::frozen_spans(truth); !spans.empty()) {
+    warnings.add(fmt::format("{}: repeats one pose {}; errors there count, but they are errors of the truth",
+                             options.truth, frozen_text(spans)));
+  }
+  const evaluation::Coverage scored = evaluation::coverage(estimate, truth, errors);
+  if (scored.estimate < kLeastScored || scored.truth < kLeastScored) {
+    warnings.add(
+        fmt::format("only {:.1f} % of {} and {:.1f} % of {} were scored; check that both are of the same run "
+                    "and the same "
+                    "clock, unless one of them is a part",
+                    100.0 * scored.estimate, options.estimate, 100.0 * scored.truth, options.truth));
   }
   if (options.json) {
-    say_json(cli::to_json(*result));
+    Json json = cli::to_json(*result);
+    json["scored"] = {{"estimate", scored.estimate}, {"truth", scored.truth}};
+    say_json(json);
   } else {
-    say(format_table(*result));
+    say(format_table(*result, scored));
   }
   return warnings.exit_code();
 }
@@ -86,9 +113,12 @@ void add_evaluate(CLI::App& app, Action& action) {
                                          "Score an estimate against the truth: position and heading errors "
                                          "(ATE) and consistency (NEES divided by 3), at "
                                          "the truth's times, without alignment.");
-  command->add_option("ESTIMATE", options->estimate, "Table that groma replay has written")->required();
+  command->add_option("ESTIMATE", options->estimate, "Table that groma replay has written")
+      ->required()
+      ->type_name("FILE");
   command->add_option("TRUTH", options->truth, "Table t_s,x_m,y_m,z_m,yaw_rad, such as groundtruth.csv")
-      ->required();
+      ->required()
+      ->type_name("FILE");
   command->add_flag("--json", options->json, "Print one JSON object");
   command->callback([options, &action] { action = [options] { return run(*options); }; });
 }

@@ -18,6 +18,7 @@
 #include "host/cli/terminal.hpp"
 #include "host/cli/warnings.hpp"
 #include "host/filter/replay.hpp"
+#include "host/help/help.hpp"
 #include "host/io/error.hpp"
 
 namespace groma::cli {
@@ -384,9 +385,13 @@ void add_explain(CLI::App& app, Action& action) {
       "the measured and predicted range, its weight and its correction of the pose.");
   options->input.add_options(*command);
   options->input.add_relocation(*command);
-  command->add_option("--at", options->at_s, "The moment, t_s of the drive")->required()->type_name("S");
-  command->add_option("--window", options->window_s, "Use ranges within this time of it. Default: 0.5")
-      ->check(CLI::PositiveNumber)
+  command->add_option("--at", options->at_s, "The moment: t_s of the drive, in seconds")
+      ->required()
+      ->type_name("S");
+  command
+      ->add_option("--window", options->window_s,
+                   "Use ranges at most this many seconds away from it. Default: 0.5")
+      ->check(help::above_zero())
       ->type_name("S");
   std::vector<std::string> names;
   names.reserve(filter::kModels.size());

@@ -32,7 +32,8 @@ void FilterInput::add_options(CLI::App& command) {
                   "Folder of the drive (dataset.yaml, ranges.csv, odometry.csv, ...), or the log that "
                   "gromad recorded")
       ->required();
-  command.add_option("--calibration", calibration_, "Calibration file that groma calibrate wrote");
+  command.add_option("--calibration", calibration_, "Calibration file that groma calibrate wrote")
+      ->type_name("FILE");
   command.add_flag(
       "--surveyed", surveyed_,
       "Instead of it: the positions of anchors.csv with sigma 0.02 m, biases at the data set's priors");
@@ -52,7 +53,7 @@ void FilterInput::add_options(CLI::App& command) {
 }
 
 void FilterInput::add_output_file(CLI::App& command, const std::string& description) {
-  command.add_option("-o,--output", output_, description)->required();
+  command.add_option("-o,--output", output_, description)->required()->type_name("FILE");
 }
 
 void FilterInput::add_output(CLI::App& command) {
@@ -127,7 +128,7 @@ FilterInput::Drive FilterInput::read(const char* command, StartIs start, Warning
   }
   Drive drive{.dataset = read_whole(start, warnings), .calibration = {}, .options = {}};
   drive.calibration = load_calibration(drive.dataset, warnings);
-  selection_.apply(drive.dataset);
+  selection_.apply(drive.dataset, drive.calibration.anchors);
   drive.options.config.odometry = drive.dataset.odometry_noise;
   drive.options.config.range_sigma_m = drive.dataset.range_priors.sigma_m;
   drive.options.relocates = relocates_;

@@ -2,7 +2,6 @@
 #include "host/provision/flash.hpp"
 
 #include <fmt/format.h>
-#include <unistd.h>
 
 #include <filesystem>
 #include <memory>
@@ -150,14 +149,6 @@ int list_probes(bool json) {
   return io::kGood;
 }
 
-// One line on the terminal that is overwritten.
-void show_phase(const std::string& prefix, const char* phase) {
-  if (::isatty(STDERR_FILENO) == 1) fmt::print(stderr, "\r\033[K{}{}", prefix, phase);
-}
-void clear_phase() {
-  if (::isatty(STDERR_FILENO) == 1) fmt::print(stderr, "\r\033[K");
-}
-
 class Flashing {
  public:
   Flashing(const FlashOptions& options, Warnings& warnings)
@@ -184,7 +175,6 @@ class Flashing {
   FlashOutcome flash(const std::string& prefix, const std::string& serial,
                      std::string* port = nullptr) const {
     FlashOutcome outcome = try_flash(prefix, serial, port);
-    clear_phase();
     if (outcome.fault != FlashFault::kNone) {
       outcome.message = prefix + outcome.message;
       complain(outcome.message);
@@ -222,7 +212,7 @@ class Flashing {
       if (port != nullptr && !chosen.probe->serial_ports.empty())
         *port = chosen.probe->serial_ports.front().string();
     }
-    outcome = provision::flash(request, [&](const char* phase) { show_phase(prefix, phase); });
+    outcome = provision::flash(request, [&](const char* phase) { show_progress(prefix + phase); });
     if (options_.verbose) fmt::print(stderr, "{}", outcome.output);
     return outcome;
   }
@@ -308,9 +298,8 @@ int flash_plan(const FlashOptions& options) {
     const bool reachable = !node.port.empty() || !node.can_link.empty();
     std::optional<provision::NodeOutcome> configured;
     if (flashed.fault == FlashFault::kNone && reachable) {
-      show_phase(prefix, "configuring");
+      show_progress(prefix + "configuring");
       configured = provision::configure_node(node, plan.baud, configuring);
-      clear_phase();
       if (const int code = report_outcome(*configured, warnings); first_failure == io::kGood)
         first_failure = code;
     } else if (flashed.fault == FlashFault::kNone) {
@@ -356,17 +345,25 @@ void add_flash(CLI::App& app, Action& action) {
                          "Write the firmware into nodes by a debug probe, with OpenOCD, and verify it; with "
                          "a plan also configure them. "
                          "A node that already has it is skipped: after an interruption repeat the command.");
-  command->add_option("--image", options->image,
-                      "Intel HEX file. Default: the one that the preset dwm1001 builds");
+  command
+      ->add_option("--image", options->image,
+                   "Intel HEX file. Default: the one that the preset dwm1001 builds")
+      ->type_name("FILE");
   command->add_option("--board", options->board, "The nodes' board; an image of another one is refused")
-      ->capture_default_str();
-  command->add_option("--probe", options->probe, "Serial number of the probe");
-  command->add_option(
-      "--adapter", options->adapter,
-      "jlink, cmsis-dap, or OpenOCD's configuration file of another. Default: the connected one");
-  command->add_option("--openocd", options->openocd, "OpenOCD, version 0.12 or later")->capture_default_str();
-  command->add_option("--plan", options->plan, "The site plan: all its nodes, each by its own probe");
-  command->add_option("--node", options->nodes, "Only these nodes of the plan, such as 1,5");
+      ->capture_default_str()
+      ->type_name("NAME");
+  command->add_option("--probe", options->probe, "Serial number of the probe")->type_name("SERIAL");
+  command
+      ->add_option("--adapter", options->adapter,
+                   "jlink, cmsis-dap, or OpenOCD's configuration file of another. Default: the connected one")
+      ->type_name("NAME");
+  command->add_option("--openocd", options->openocd, "OpenOCD, version 0.12 or later")
+      ->capture_default_str()
+      ->type_name("PROGRAM");
+  command->add_option("--plan", options->plan, "The site plan: all its nodes, each by its own probe")
+      ->type_name("FILE");
+  command->add_option("--node", options->nodes, "Only these nodes of the plan, such as 1,5")
+      ->type_name("IDS");
   command->add_flag("--all", options->all, "Flash by every connected probe");
   command->add_flag("--recover", options->recover, "Unlock a locked part, which erases its whole flash");
   command->add_flag("--reassign", options->reassign,

@@ -90,15 +90,20 @@ int run(IdentifyOptions options) {
 void add_identify(CLI::App& app, Action& action) {
   const auto options = std::make_shared<IdentifyOptions>();
   CLI::App* command = app.add_subcommand("identify", "Make a node blink, and print its role and id.");
-  command->add_option("link", options->link, "Its port, such as /dev/ttyACM0 or can:can0/3");
-  command->add_option("--plan", options->plan, "The site plan, instead of a port");
-  command->add_option(
-      "--node", options->node,
-      "The node of the plan; with a port: the node to which the node there relays over the air");
-  command->add_option("--baud", options->baud, "Bits per second of a serial port")->capture_default_str();
+  command->add_option("PORT", options->link, "Its port, such as /dev/ttyACM0 or can:can0/3")
+      ->type_name("PORT");
+  command->add_option("--plan", options->plan, "The site plan, instead of a port")->type_name("FILE");
+  command
+      ->add_option("--node", options->node,
+                   "The node of the plan; with a port: the node to which the node there relays over the air")
+      ->type_name("ID");
+  command->add_option("--baud", options->baud, "Bits per second of a serial port")
+      ->capture_default_str()
+      ->type_name("N");
   command->add_option("--for", options->for_s, "Duration in seconds; 0 ends it")
       ->check(CLI::Range(0U, kMaxIdentify_s))
-      ->capture_default_str();
+      ->capture_default_str()
+      ->type_name("S");
   command->add_flag("--json", options->json, "Print one JSON object");
   command->callback([options, &action] { action = [options] { return run(*options); }; });
 }

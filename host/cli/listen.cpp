@@ -218,11 +218,16 @@ int run(const ListenOptions& options) {
 void add_listen(CLI::App& app, Action& action) {
   const auto options = std::make_shared<ListenOptions>();
   CLI::App* command = app.add_subcommand("listen", "Show the ranges that a tag measures, by anchor.");
-  command->add_option("link", options->link, "Its port, such as /dev/ttyACM0 or can:can0/3")->required();
-  command->add_option("--baud", options->baud, "Bits per second of a serial port")->capture_default_str();
+  command->add_option("PORT", options->link, "Its port, such as /dev/ttyACM0 or can:can0/3")
+      ->required()
+      ->type_name("PORT");
+  command->add_option("--baud", options->baud, "Bits per second of a serial port")
+      ->capture_default_str()
+      ->type_name("N");
   command->add_option("--for", options->for_s, "Duration in seconds")
       ->check(CLI::Range(0.1, 86'400.0))
-      ->capture_default_str();
+      ->capture_default_str()
+      ->type_name("S");
   command->add_flag("--rows", options->rows, "Print each range live, in the format of ranges.csv");
   command->add_flag("--json", options->json, "Print one JSON object");
   command->callback([options, &action] { action = [options] { return run(*options); }; });

@@ -21,15 +21,15 @@ namespace {
 int run(int argc, char** argv) {
   CLI::App app(
       "UWB localization for ground robots: calibrates anchors from a drive, replays drives through the "
-      "filter, and "
-      "scores the result.",
+      "filter, "
+      "and scores the result. 'groma help COMMAND' describes a command.",
       "groma");
-  help::prepare(app, 1);
-  app.set_version_flag("--version", fmt::format("groma {}", io::program_version()));
-  app.require_subcommand(1);
-  app.footer(
+  help::prepare(
+      app, 1,
       "Exit codes: 0 good, 2 usage, 3 done with warnings, 65 bad data or a result that is not usable,\n"
       "69 device or service unavailable, 77 permission, 78 bad configuration.");
+  app.set_version_flag("--version", fmt::format("groma {}", io::program_version()));
+  app.require_subcommand(1);
   Action action;
   add_bugreport(app, action);
   add_calibrate(app, action);
@@ -41,6 +41,7 @@ int run(int argc, char** argv) {
   add_evaluate(app, action);
   add_explain(app, action);
   add_flash(app, action);
+  help::add_help_command(app);
   add_identify(app, action);
   add_listen(app, action);
   add_monitor(app, action);
@@ -52,7 +53,9 @@ int run(int argc, char** argv) {
   add_smooth(app, action);
   add_surface(app, action);
   add_survey(app, action);
+  add_guides(app);
   if (const std::optional<int> code = help::parse(app, argc, argv)) return *code;
+  const Heartbeat heartbeat("groma " + app.get_subcommands().front()->get_name());
   return action();
 }
 

@@ -150,6 +150,7 @@ int run_on_screen(Source& source) {
   const char* const no_colour = std::getenv("NO_COLOR");
   const bool colour = no_colour == nullptr || *no_colour == '\0';
   const volatile std::sig_atomic_t& stop = stop_on_signals();
+  stop_heartbeat();
   const FullScreen screen;
   while (stop == 0) {
     FullScreen::show(source.view().draw(FullScreen::size()), colour);
@@ -209,7 +210,9 @@ void add_monitor(CLI::App& app, Action& action) {
       "monitor",
       "Show a running gromad on one screen: pose, state with what to do, rates, latency, links, anchors and "
       "pairs. The key q quits. Without a terminal it prints a block of text for each status.");
-  command->add_option("address", options->address, "HOST:PORT of its pose stream")->capture_default_str();
+  command->add_option("ADDRESS", options->address, "HOST:PORT of its pose stream")
+      ->capture_default_str()
+      ->type_name("ADDRESS");
   command->add_option("--config", options->config, "Instead: the configuration of gromad, which names them")
       ->type_name("FILE");
   command->add_flag("--once", options->once, "Print one block of text, and end");

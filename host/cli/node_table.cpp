@@ -269,17 +269,25 @@ void add_nodes(CLI::App& app, Action& action) {
   const auto options = std::make_shared<NodeTableOptions>();
   CLI::App* command = app.add_subcommand(
       "nodes", "Print role, firmware and counters of each node of a site, over its port or over the air.");
-  command->add_option("link", options->link, "Port of one node, such as /dev/ttyACM0 or can:can0/3");
-  command->add_option("--plan", options->plan, "The site plan, instead of a port");
-  command->add_option("--node", options->nodes,
-                      "Only these nodes of the plan, such as 1,5; with a port: also these, over the air");
-  command->add_option("--leave", options->leave,
-                      "This tag releases its slot and stops polling until it is configured or restarted");
-  command->add_option(
-      "--prefer", options->prefer,
-      "The tags of --node choose anchors by these weights, such as 10=200,11=0 (100 is neutral, "
-      "0: only if there is room, none: no weights), until they restart");
-  command->add_option("--baud", options->baud, "Bits per second of a serial port")->capture_default_str();
+  command->add_option("PORT", options->link, "Port of one node, such as /dev/ttyACM0 or can:can0/3")
+      ->type_name("PORT");
+  command->add_option("--plan", options->plan, "The site plan, instead of a port")->type_name("FILE");
+  command
+      ->add_option("--node", options->nodes,
+                   "Only these nodes of the plan, such as 1,5; with a port: also these, over the air")
+      ->type_name("IDS");
+  command
+      ->add_option("--leave", options->leave,
+                   "This tag releases its slot and stops polling until it is configured or restarted")
+      ->type_name("ID");
+  command
+      ->add_option("--prefer", options->prefer,
+                   "The tags of --node choose anchors by these weights, such as 10=200,11=0 (100 is neutral, "
+                   "0: only if there is room, none: no weights), until they restart")
+      ->type_name("HINTS");
+  command->add_option("--baud", options->baud, "Bits per second of a serial port")
+      ->capture_default_str()
+      ->type_name("N");
   command->add_flag("--json", options->json, "Print one JSON object");
   command->callback([options, &action] { action = [options] { return run(*options); }; });
 }

@@ -5,7 +5,9 @@
 #include <cstdint>
 #include <filesystem>
 #include <memory>
+#include <optional>
 #include <string>
+#include <string_view>
 
 #include <CLI/CLI.hpp>
 
@@ -30,7 +32,7 @@ struct PlanOptions {
   unsigned anchors = 12;
   unsigned backups = provision::kDefaultBackups;
   std::string method = "next-poll";
-  std::string link = "uart";
+  std::optional<std::string> link;
   provision::SiteSettings site;
   double loss = 0.0;
   bool authenticated = false;
@@ -54,6 +56,11 @@ groma_Config config_from_numbers(const PlanOptions& options) {
   const groma_Config config = provision::config_of(site, groma_Role_ROLE_TAG, site.tag_ids.front());
   if (const char* fault = node::fault_of(config); *fault != '\0') throw CLI::ValidationError("plan", fault);
   return config;
+}
+
+std::string_view link_name(groma_Link link) {
+  if (link == groma_Link_LINK_CAN) return "CAN";
+  return link == groma_Link_LINK_CAN_FD ? "CAN FD" : "UART";
 }
 
 std::string ms(double t_s) {
@@ -133,7 +140,11 @@ int run(const PlanOptions& options) {
     config = tag->config;
     baud = site.baud;
   }
-  const provision::AirPlan plan = provision::plan_air(config, baud);
+  provision::AirPlan plan = provision::plan_air(config, baud);
+  if (!options.plan.empty() || options.link) {
+    std::erase_if(plan.links,
+                  [&](const provision::LinkLoad& load) { return load.name != link_name(config.link); });
+  }
   const double success = provision::range_success(config.schedule.method, 1.0 - options.loss);
   if (options.json) {
     say_json(as_json(plan, options.loss, success));
@@ -155,12 +166,14 @@ void add_plan(CLI::App& app, Action& action) {
                                          "Predict the figures of a schedule: slots, air use, ranges per "
                                          "second, and the load of each link, for a site "
                                          "plan's file or for numbers of tags and anchors.");
-  CLI::Option* file = command->add_option("plan", options->plan, "The site plan");
+  CLI::Option* file =
+      command->add_option("PLAN", options->plan, "The site plan, a YAML file")->type_name("FILE");
   const auto number = [&](const char* name, auto& value, const char* text, unsigned first, unsigned last) {
-    command->add_option(name, value, text)
+    return command->add_option(name, value, text)
         ->check(CLI::Range(first, last))
         ->excludes(file)
-        ->capture_default_str();
+        ->capture_default_str()
+        ->type_name("N");
   };
   number("--tags", options->tags, "Tags", 1, 16);
   number("--anchors", options->anchors, "Anchors", 1, 64);
@@ -168,28 +181,35 @@ void add_plan(CLI::App& app, Action& action) {
   number("--responses", options->site.responses, "Anchors that a tag polls at once; 0: all, up to 16", 0, 16);
   number("--turn-round", options->site.turn_round_us,
          "Turnaround: end of a frame to the preamble of the answer, us", mac::kLeastTurnaround_us,
-         mac::kMostTurnaround_us);
+         mac::kMostTurnaround_us)
+      ->type_name("US");
   command
       ->add_option("--gap", options->site.response_gap_us,
                    fmt::format("Time between answers, us (default: {}, with a MIC {}, with --arm-ahead {})",
                                mac::usual_gap_us(false, false), mac::usual_gap_us(false, true),
                                mac::usual_gap_us(true, false)))
       ->check(CLI::Range(mac::kLeastGap_us, mac::kMostGap_us))
-      ->excludes(file);
+      ->excludes(file)
+      ->type_name("US");
   number("--guard", options->site.guard_us, "A receiver turns on this long before a frame is due, us",
-         mac::kLeastGuard_us, mac::kMostGuard_us);
+         mac::kLeastGuard_us, mac::kMostGuard_us)
+      ->type_name("US");
   command->add_option("--preamble", options->site.preamble_symbols, "Length of the preamble, symbols")
       ->check(CLI::IsMember({64U, 128U, 256U}))
       ->excludes(file)
-      ->capture_default_str();
+      ->capture_default_str()
+      ->type_name("N");
   command->add_option("--method", options->method, "Frame that completes an exchange: FINAL or the next POLL")
       ->check(CLI::IsMember({"final", "next-poll"}))
       ->excludes(file)
-      ->capture_default_str();
-  command->add_option("--link", options->link, "Link over which tags report")
+      ->capture_default_str()
+      ->type_name("NAME");
+  command
+      ->add_option("--link", options->link,
+                   "Link over which tags report, and whose load is shown. Default: uart, and the load of all")
       ->check(CLI::IsMember({"uart", "can", "can-fd"}))
       ->excludes(file)
-      ->capture_default_str();
+      ->type_name("NAME");
   command
       ->add_flag("--raw-stamps", options->site.report_raw_stamps,
                  "Report each range with its four time intervals")
@@ -201,7 +221,8 @@ void add_plan(CLI::App& app, Action& action) {
   command->add_flag("--authenticated", options->authenticated, "With a MIC in each frame")->excludes(file);
   command->add_option("--loss", options->loss, "Share of the frames that are not received")
       ->check(CLI::Range(0.0, 1.0))
-      ->capture_default_str();
+      ->capture_default_str()
+      ->type_name("SHARE");
   command->add_flag("--json", options->json, "Print one JSON object");
   command->callback([options, &action] { action = [options] { return run(*options); }; });
 }

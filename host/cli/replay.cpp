@@ -10,12 +10,9 @@
 #include <cstddef>
 #include <cstdint>
 #include <filesystem>
-#include <map>
 #include <memory>
 #include <optional>
-#include <span>
 #include <string>
-#include <string_view>
 #include <vector>
 
 #include <CLI/CLI.hpp>
@@ -24,6 +21,7 @@
 #include "host/cli/filter_input.hpp"
 #include "host/cli/json.hpp"
 #include "host/cli/replay_stream.hpp"
+#include "host/cli/replay_summary.hpp"
 #include "host/cli/terminal.hpp"
 #include "host/cli/warnings.hpp"
 #include "host/diagnosis/finding.hpp"
@@ -72,13 +70,6 @@ Json sensors_json(const filter::Counters& counters) {
                                        {"not_started", of[Outcome::kNotStarted]}};
   }
   return json;
-}
-
-Json state_shares(std::span<const filter::ReplayResult::RowState> states) {
-  std::map<std::string_view, double> shares;
-  for (const auto& of : states)
-    shares[filter::state_name(of.state)] += 1.0 / static_cast<double>(states.size());
-  return shares;
 }
 
 int run(const ReplayOptions& options) {
@@ -130,6 +121,8 @@ int run(const ReplayOptions& options) {
   FilterInput::warn_of_samples(counters, warnings);
   if (counters.ranges[filter::RangeOutcome::kUsed] == 0 && replay.config.model != filter::Model::kOdometry)
     FilterInput::warn_without_ranges(result.ranges_seen, warnings);
+  const ReplaySummary summary = summarize(result, replay.config.model);
+  warn_of(summary, warnings);
   const double duration_s = result.rows.back().t_s - begin_s(drive);
   const double realtime_factor = wall_s > 0.0 ? duration_s / wall_s : 0.0;
   if (options.input.json()) {
@@ -144,7 +137,7 @@ int run(const ReplayOptions& options) {
                   {"slips", counters.slips},
                   {"odometry_implausible", counters.odometry[filter::OdometryOutcome::kImplausible]},
                   {"state", words.back().state},
-                  {"state_shares", state_shares(result.states)},
+                  {"state_shares", summary.state_shares},
                   {"diagnosis", diagnosis::to_json(findings)},
                   {"sensors", sensors_json(counters)},
                   {"dropped", cli::to_json(drive.dataset.dropped)},
@@ -153,11 +146,10 @@ int run(const ReplayOptions& options) {
                   {"propagate_ns", {{"p50", result.propagate_ns.p50}, {"p99", result.propagate_ns.p99}}},
                   {"update_ns", {{"p50", result.update_ns.p50}, {"p99", result.update_ns.p99}}}});
   } else {
-    say(fmt::format("{}: {} poses over {:.1f} s, written to {}\n", options.model, result.rows.size(),
-                    duration_s, options.input.output().string()));
-    say(fmt::format("{} ranges seen, {} used, {} gated; {:.0f} times real time\n", result.ranges_seen,
-                    counters.ranges[filter::RangeOutcome::kUsed],
-                    counters.ranges[filter::RangeOutcome::kGated], realtime_factor));
+    say(fmt::format("{}: {} poses over {:.1f} s, at {:.0f} times real time, written to {}\n", options.model,
+                    result.rows.size(), duration_s, realtime_factor, options.input.output().string()));
+    say(states_text(summary));
+    say(ranges_text(summary));
   }
   return warnings.exit_code();
 }

@@ -2,11 +2,15 @@
 
 #include <fmt/chrono.h>
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <algorithm>
+#include <cstddef>
 #include <ctime>
+#include <map>
 #include <string>
 #include <string_view>
+#include <vector>
 
 #include "host/cli/json.hpp"
 #include "host/cli/terminal.hpp"
@@ -84,6 +88,7 @@ int replay_stream(const StreamOptions& options) {
     warnings.add(fmt::format("{} bytes of the capture are damaged", replay.damaged_bytes));
   Json listed = Json::array();
   bool differs = false;
+  std::map<std::string, std::vector<std::size_t>> left_out;  // numbers of sections by the reason
   for (std::size_t i = 0; i < replay.sections.size(); ++i) {
     if (options.section && i + 1 != *options.section) continue;
     const ReplayedSection& section = replay.sections[i];
@@ -91,9 +96,11 @@ int replay_stream(const StreamOptions& options) {
     listed.push_back(to_json(section));
     listed.back()["section"] = i + 1;
     if (!options.json) list(i + 1, section);
-    if (!section.has_snapshot || !section.is_of_this_build)
-      warnings.add(fmt::format("section {}: {}", i + 1, result_of(section)));
+    if (!section.has_snapshot || !section.is_of_this_build) left_out[result_of(section)].push_back(i + 1);
   }
+  for (const auto& [why, numbers] : left_out)
+    warnings.add(
+        fmt::format("section{} {}: {}", numbers.size() > 1 ? "s" : "", fmt::join(numbers, ", "), why));
   const auto poses = std::count(lines.begin(), lines.end(), '\n');
   if (options.json) {
     say_json(Json{{"poses", poses}, {"same", !differs}, {"sections", listed}});

@@ -1,15 +1,19 @@
 #include "host/cli/selection.hpp"
 
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <algorithm>
 #include <charconv>
 #include <cmath>
 #include <limits>
+#include <set>
 #include <string_view>
 #include <system_error>
 
 #include <CLI/CLI.hpp>
+
+#include "host/cli/warnings.hpp"
 
 namespace groma::cli {
 
@@ -37,6 +41,31 @@ void keep_between(std::vector<Sample>& samples, double from_s, double to_s) {
   std::erase_if(samples, [&](const Sample& sample) { return sample.t_s < from_s || sample.t_s > to_s; });
 }
 
+// The ids of the anchors that the run knows.
+std::set<model::NodeId> anchors_of(const io::Dataset& dataset,
+                                   std::span<const model::AnchorCalibration> calibrated) {
+  std::set<model::NodeId> ids;
+  for (const model::RangeSample& range : dataset.ranges) ids.insert(range.anchor_id);
+  for (const model::Anchor& anchor : dataset.surveyed_anchors) ids.insert(anchor.id);
+  for (const model::AnchorCalibration& anchor : calibrated) ids.insert(anchor.id);
+  return ids;
+}
+
+std::set<model::NodeId> tags_of(const io::Dataset& dataset) {
+  std::set<model::NodeId> ids;
+  for (const model::Tag& tag : dataset.tags) ids.insert(tag.id);
+  return ids;
+}
+
+void expect_known(const char* option, const char* what, const std::vector<model::NodeId>& chosen,
+                  const std::set<model::NodeId>& known) {
+  for (const model::NodeId id : chosen) {
+    if (known.contains(id)) continue;
+    throw CLI::ValidationError(
+        option, fmt::format("there is no {} {}; the run has {}", what, id, fmt::join(known, ", ")));
+  }
+}
+
 bool chosen(const std::vector<model::NodeId>& ids, model::NodeId id) {
   return ids.empty() || std::find(ids.begin(), ids.end(), id) != ids.end();
 }
@@ -47,8 +76,16 @@ std::vector<model::NodeId> parse_ids(const std::string& option, const std::strin
   return parse_list<model::NodeId>(option, text, "a list of ids such as 1,2");
 }
 
+double parse_number(const std::string& option, const std::string& text, std::string_view unit) {
+  double value = 0.0;
+  const auto [last, error] = std::from_chars(text.data(), text.data() + text.size(), value);
+  if (error != std::errc() || last != text.data() + text.size() || !std::isfinite(value))
+    throw CLI::ValidationError(option, fmt::format("'{}' is not a number; give {}", text, unit));
+  return value;
+}
+
 std::vector<double> parse_numbers(const std::string& option, const std::string& text, std::size_t count) {
-  const std::string wanted = fmt::format("{} numbers between commas", count);
+  const std::string wanted = fmt::format("{} numbers separated by commas", count);
   std::vector<double> values = parse_list<double>(option, text, wanted);
   const bool finite =
       std::all_of(values.begin(), values.end(), [](double value) { return std::isfinite(value); });
@@ -61,12 +98,15 @@ void Selection::add_options(CLI::App& command) {
   const auto add_time = [&](const std::string& name, std::optional<double>& value, const std::string& help) {
     command
         .add_option_function<std::string>(
-            name, [&value, name](const std::string& text) { value = parse_numbers(name, text, 1).front(); },
+            name,
+            [&value, name](const std::string& text) {
+              value = parse_number(name, text, "seconds without a unit, such as 12.5");
+            },
             help)
         ->type_name("S");
   };
-  add_time("--from", from_s_, "Use the run from this t_s of the files on");
-  add_time("--to", to_s_, "Use the run up to this t_s of the files");
+  add_time("--from", from_s_, "Use the run from this t_s of the files on, in seconds");
+  add_time("--to", to_s_, "Use the run up to this t_s of the files, in seconds");
   const auto add_ids = [&](const std::string& name, std::vector<model::NodeId>& ids,
                            const std::string& help) {
     command
@@ -79,14 +119,14 @@ void Selection::add_options(CLI::App& command) {
   command.add_option("--section", section_, "Section of a log, from 1. Default: the last")->type_name("N");
 }
 
-void Selection::apply(io::Dataset& dataset) const {
+void Selection::apply(io::Dataset& dataset, std::span<const model::AnchorCalibration> calibrated) const {
   if (section_ && !dataset.log) throw CLI::ValidationError("--section", "a data set folder has no sections");
-  for (const model::NodeId id : tags_) {
-    if (std::none_of(dataset.tags.begin(), dataset.tags.end(),
-                     [&](const model::Tag& tag) { return tag.id == id; })) {
-      throw CLI::ValidationError("--tags", fmt::format("the data set has no tag {}", id));
-    }
+  if (!section_ && dataset.log && dataset.log->sections > 1) {
+    Warnings::note(fmt::format("the log has {} sections, and the last is used; --section chooses another",
+                               dataset.log->sections));
   }
+  expect_known("--tags", "tag", tags_, tags_of(dataset));
+  expect_known("--anchors", "anchor", anchors_, anchors_of(dataset, calibrated));
   const double from_s = from_s_.value_or(-std::numeric_limits<double>::infinity());
   const double to_s = to_s_.value_or(std::numeric_limits<double>::infinity());
   if (!(from_s < to_s))

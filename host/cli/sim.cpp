@@ -36,6 +36,7 @@ int run(SimOptions options) {
   say(fmt::format("{}\nrunning {} at {} times real time; end it with Ctrl-C\n",
                   (options.server.folder / "robot.sock").string(), scenario.name, options.server.speed));
   flush_output();
+  stop_heartbeat();
   server.run(stop);
   if (server.behind_s() > 0.0) {
     complain(fmt::format(
@@ -55,18 +56,23 @@ void add_sim(CLI::App& app, Action& action) {
                          "Keep a simulated site running: for each tag a pseudo-terminal that behaves like a "
                          "flashed tag's serial port, "
                          "and a socket that sends the robot's odometry and pose priors as JSON lines.");
-  command->add_option("--scenario", options->scenario, "Site, nodes, robot and radio as YAML")->required();
+  command->add_option("--scenario", options->scenario, "Site, nodes, robot and radio as YAML")
+      ->required()
+      ->type_name("FILE");
   command->add_option("--seed", options->server.site.seed, "Determines all randomness of the simulation")
-      ->capture_default_str();
+      ->capture_default_str()
+      ->type_name("N");
   command->add_option("--speed", options->server.speed, "Speed as a multiple of real time")
       ->check(CLI::Range(0.01, 100.0))
-      ->capture_default_str();
+      ->capture_default_str()
+      ->type_name("X");
   add_emulation_options(*command, options->emulation);
   command->add_flag(
       "--unconfigured", options->server.site.unconfigured,
       "Unconfigured nodes, for 'groma configure'; then anchors have ports, too: anchor-10 and so on");
   command->add_option("--ports", options->server.folder, "Folder for tag-1 and so on, and robot.sock")
-      ->required();
+      ->required()
+      ->type_name("DIR");
   command->callback([options, &action] { action = [options] { return run(*options); }; });
 }
 

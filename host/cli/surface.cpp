@@ -1,8 +1,11 @@
 // groma surface fit: fits the surface of a site to measured heights.
 #include <fmt/format.h>
 
+#include <filesystem>
+#include <iomanip>
 #include <memory>
 #include <optional>
+#include <sstream>
 #include <string>
 
 #include <CLI/CLI.hpp>
@@ -10,6 +13,7 @@
 #include "host/cli/command.hpp"
 #include "host/cli/json.hpp"
 #include "host/cli/terminal.hpp"
+#include "host/help/help.hpp"
 #include "host/io/dataset_writer.hpp"
 #include "host/io/exit_code.hpp"
 #include "host/io/input_file.hpp"
@@ -27,6 +31,15 @@ struct FitCommand {
   std::optional<double> smoothing;
   bool json = false;
 };
+
+// As a description names it, in quotes: relative to its own folder where the file is beside it.
+std::string described(const std::filesystem::path& file) {
+  const std::filesystem::path path = std::filesystem::absolute(file).lexically_normal();
+  std::ostringstream text;
+  text << std::quoted(std::filesystem::exists(path.parent_path() / "dataset.yaml") ? path.filename().string()
+                                                                                   : path.string());
+  return text.str();
+}
 
 int run(const FitCommand& options) {
   io::expect_writable(options.output);
@@ -62,7 +75,7 @@ int run(const FitCommand& options) {
   say(
       fmt::format("surface: {{type: bspline, file: {}, mismatch: {{sigma_m: {:.4f}, slope_sigma: {:.4f}, "
                   "length_m: {:.2f}}}}}\n",
-                  options.output, mismatch.sigma_m, mismatch.slope_sigma, mismatch.length_m));
+                  described(options.output), mismatch.sigma_m, mismatch.slope_sigma, mismatch.length_m));
   return io::kGood;
 }
 
@@ -79,16 +92,20 @@ void add_surface(CLI::App& app, Action& action) {
   fit->add_option("HEIGHTS", options->heights,
                   "Table with the columns x_m,y_m,z_m (such as groundtruth.csv), or a grid: a line "
                   "x0_m,y0_m,dx_m,dy_m,nx,ny, then nx rows of ny heights")
-      ->required();
+      ->required()
+      ->type_name("FILE");
   fit->add_option("-o,--output", options->output,
                   "Spline to write, for 'surface: {type: bspline, file: ...}'")
-      ->required();
+      ->required()
+      ->type_name("FILE");
   fit->add_option("--spacing", options->spacing_m,
                   "Metres between knots. Default: chosen by cross-validation")
-      ->check(CLI::PositiveNumber);
+      ->check(help::above_zero())
+      ->type_name("M");
   fit->add_option("--smoothing", options->smoothing,
-                  "Weight of the bending. Default: chosen by cross-validation")
-      ->check(CLI::PositiveNumber);
+                  "Weight of the bending, without unit. Default: chosen by cross-validation")
+      ->check(help::above_zero())
+      ->type_name("W");
   fit->add_flag("--json", options->json, "Print one JSON object");
   fit->callback([options, &action] { action = [options] { return run(*options); }; });
 }

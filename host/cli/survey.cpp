@@ -63,13 +63,19 @@ void add_survey(CLI::App& app, Action& action) {
       "survey",
       "Make anchors range to their neighbour anchors, in the slot of a tag, which pauses meanwhile. Prints "
       "CSV.");
-  command->add_option("link", options->link, "The tag's port, such as /dev/ttyACM0 or can:can0/3")
-      ->required();
-  command->add_option("--node", options->nodes, "The anchors, such as 10,11; not the master")->required();
+  command->add_option("PORT", options->link, "The tag's port, such as /dev/ttyACM0 or can:can0/3")
+      ->required()
+      ->type_name("PORT");
+  command->add_option("--node", options->nodes, "The anchors, such as 10,11; not the master")
+      ->required()
+      ->type_name("IDS");
   command->add_option("--exchanges", options->exchanges, "Exchanges per pair of anchors")
       ->check(CLI::Range(1, 200))
-      ->capture_default_str();
-  command->add_option("--baud", options->baud, "Bits per second of a serial port")->capture_default_str();
+      ->capture_default_str()
+      ->type_name("N");
+  command->add_option("--baud", options->baud, "Bits per second of a serial port")
+      ->capture_default_str()
+      ->type_name("N");
   command->add_flag("--json", options->json, "Print one JSON object");
   command->callback([options, &action] { action = [options] { return run(*options); }; });
 }

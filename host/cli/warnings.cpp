@@ -11,6 +11,10 @@ void Warnings::add(const std::string& text) {
   any_ = true;
 }
 
+void Warnings::note(const std::string& text) {
+  complain(fmt::format("note: {}", text));
+}
+
 void Warnings::add(const diagnosis::Finding& finding) {
   add(fmt::format("{}: {}\n  {}", finding.cause, finding.evidence, finding.remedy));
 }

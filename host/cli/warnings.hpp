@@ -18,6 +18,8 @@ class Warnings {
   void add(const io::DroppedRows& dropped);
   // The data set's dropped rows, and damaged bytes of its log.
   void add(const io::Dataset& dataset);
+  // Printed as a note, which does not change the exit code.
+  static void note(const std::string& text);
   [[nodiscard]] int exit_code() const { return any_ ? io::kDoneWithWarnings : io::kGood; }
 
  private:

@@ -466,6 +466,8 @@ ConfigReading parse_config(const std::filesystem::path& path, const io::InputFil
 }
 
 Config read_config(const std::filesystem::path& path) {
+  if (!std::filesystem::exists(path))
+    throw io::ConfigError({path}, "does not exist", "give the configuration file of gromad");
   ConfigReading reading = parse_config(path);
   if (!reading.problems.empty()) std::rethrow_exception(reading.problems.front().error);
   return std::move(reading.config);

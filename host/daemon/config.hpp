@@ -122,8 +122,8 @@ struct ConfigReading {
 [[nodiscard]] ConfigReading parse_config(const std::filesystem::path& path,
                                          const io::InputFiles::Texts& given = {});
 
-// Throws the first error: io::ConfigError with the place and the remedy; io::DataError or io::PermissionError
-// if the file, or a file that it names, cannot be read.
+// Throws the first error: io::ConfigError with the place and the remedy, also if the file does not exist;
+// io::DataError or io::PermissionError if it, or a file that it names, cannot be read.
 [[nodiscard]] Config read_config(const std::filesystem::path& path);
 
 // The JSON schema of the file, from the table that the parser checks it with.

@@ -3,6 +3,7 @@
 #include <sys/signalfd.h>
 #include <unistd.h>
 
+#include <array>
 #include <csignal>
 #include <cstdio>
 #include <exception>
@@ -76,9 +77,6 @@ int guarded(const Daemon::Log& log, const std::function<int()>& action) {
 }
 
 int serve(const std::filesystem::path& path, int signal_fd, const Daemon::Log& log) {
-  if (!std::filesystem::exists(path)) {
-    throw io::ConfigError({path}, "does not exist", "give the daemon's configuration file");
-  }
   Config config = read_config(path);
   std::optional<model::Calibration> calibration = load_calibration(config.calibration);
   if (config.calibration.output) {
@@ -103,17 +101,26 @@ int run(int argc, char** argv) {
       "Localizes a robot from UWB ranges and its odometry, and serves its pose as JSON lines on TCP. SIGTERM "
       "stops it, SIGHUP reloads the calibration and the tags' lever arms.",
       "gromad");
-  help::prepare(app, 8, {{"schema", config_schema}});
+  help::prepare(app, 8,
+                "Exit codes: 0 stopped by a signal, 2 usage, 65 the drive gave no usable calibration,\n"
+                "69 device or service unavailable, 77 permission, 78 bad configuration.",
+                {{"schema", config_schema}});
   app.set_version_flag("--version", fmt::format("gromad {}", io::program_version()));
   std::filesystem::path path;
-  app.add_option("--config", path, "Configuration file (YAML)")->required();
+  app.add_option("--config", path, "Configuration file (YAML)")->required()->type_name("FILE");
   bool only_check = false;
   app.add_flag(
       "--check", only_check,
       "Report all errors of the configuration and of the files that it names, and end. Opens no device");
-  app.footer(
-      "Exit codes: 0 stopped by a signal, 2 usage, 65 the drive gave no usable calibration,\n"
-      "69 device or service unavailable, 77 permission, 78 bad configuration.");
+  help::add_guides(
+      app,
+      std::array{help::Guide{
+          .command = "",
+          .examples = {{"Report the errors of a configuration, and open no device",
+                        "gromad --check --config gromad.yaml"},
+                       {"Serve poses until a signal stops it", "gromad --config /etc/groma/gromad.yaml"}},
+          .pages =
+              "docs/reference/gromad.md (each key of the configuration), docs/how-to/install-gromad.md"}});
   if (const std::optional<int> code = help::parse(app, argc, argv)) return *code;
   if (only_check) return check(path);
 

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstddef>
 
 #include <Eigen/Cholesky>
 
@@ -78,6 +79,25 @@ std::vector<PoseError> pose_errors(std::span<const model::PlanarEstimate> estima
     errors.push_back({pose.t_s, error.x(), error.y(), error.z(), nees(error, row->covariance)});
   }
   return errors;
+}
+
+Coverage coverage(std::span<const model::PlanarEstimate> estimate, std::span<const model::PoseSample> truth,
+                  std::span<const PoseError> errors) {
+  if (errors.empty()) return {};
+  std::vector<double> intervals_s{kMaxGap_s};
+  for (std::size_t i = 1; i < truth.size(); ++i) intervals_s.push_back(truth[i].t_s - truth[i - 1].t_s);
+  const auto middle = intervals_s.begin() + static_cast<std::ptrdiff_t>(intervals_s.size() / 2);
+  std::nth_element(intervals_s.begin(), middle, intervals_s.end());
+  const double near_s = std::max(kMaxGap_s, *middle);
+  std::size_t near = 0;
+  for (const model::PlanarEstimate& row : estimate) {
+    // The first scored time that is not too early.
+    const auto at = std::lower_bound(errors.begin(), errors.end(), row.t_s - near_s,
+                                     [](const PoseError& error, double t_s) { return error.t_s < t_s; });
+    if (at != errors.end() && at->t_s <= row.t_s + near_s) ++near;
+  }
+  return {.estimate = static_cast<double>(near) / static_cast<double>(estimate.size()),
+          .truth = static_cast<double>(errors.size()) / static_cast<double>(truth.size())};
 }
 
 std::vector<FrozenSpan> frozen_spans(std::span<const model::PoseSample> truth) {

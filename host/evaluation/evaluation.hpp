@@ -32,6 +32,15 @@ struct PoseError {
 [[nodiscard]] std::vector<PoseError> pose_errors(std::span<const model::PlanarEstimate> estimate,
                                                  std::span<const model::PoseSample> truth);
 
+// How much of either input the errors of pose_errors() score.
+struct Coverage {
+  double estimate = 0.0;  // share of its rows that are near a scored time
+  double truth = 0.0;     // share of its rows that are scored
+};
+// Near is: within kMaxGap_s, or the truth's usual interval if that is longer.
+[[nodiscard]] Coverage coverage(std::span<const model::PlanarEstimate> estimate,
+                                std::span<const model::PoseSample> truth, std::span<const PoseError> errors);
+
 // Spans where the truth repeats one pose and then jumps, as the output of a tracking system that lost
 // the robot: at least kFewRepeats equal rows within kMaxFrozen_s, followed by a step of kLeastJump_m or more
 // at over kJumpFactor times the speed of the step before the span and of the step after the jump. A

@@ -14,38 +14,17 @@
 namespace groma::help {
 namespace {
 
-// A program or a command that runs something, with its words on the command line.
-struct Command {
-  std::string name;
-  const CLI::App* app = nullptr;
-};
-
-std::vector<const CLI::App*> commands_of(const CLI::App& app) {
-  return app.get_subcommands([](const CLI::App* command) { return !command->get_name().empty(); });
-}
-
-// The commands without subcommands, in the order of their definition.
-void append_commands(const CLI::App& app, const std::string& before, std::vector<Command>& out) {
-  const std::string name = before.empty() ? app.get_name() : before + ' ' + app.get_name();
+// The commands without subcommands, in the order of their definition; the program itself if it has none.
+void append_commands(const CLI::App& app, std::vector<const CLI::App*>& out) {
   const std::vector<const CLI::App*> commands = commands_of(app);
-  if (commands.empty()) out.push_back({name, &app});
-  for (const CLI::App* command : commands) append_commands(*command, name, out);
+  if (commands.empty()) out.push_back(&app);
+  for (const CLI::App* command : commands) append_commands(*command, out);
 }
-std::vector<Command> all_commands(const CLI::App& app) {
-  std::vector<Command> commands;
-  append_commands(app, "", commands);
+std::vector<const CLI::App*> all_commands(const CLI::App& app) {
+  std::vector<const CLI::App*> commands;
+  append_commands(app, commands);
   return commands;
 }
-
-// An option as it is shown.
-struct Shown {
-  std::vector<std::string> names;
-  std::string value;               // placeholder of its value; empty: a flag
-  std::vector<std::string> words;  // the values that it takes; empty: any
-  std::string text;                // what it does, its bounds and its default
-  bool required = false;
-  bool positional = false;
-};
 
 std::string joined(const std::vector<std::string>& words, std::string_view separator) {
   std::string out;
@@ -54,7 +33,7 @@ std::string joined(const std::vector<std::string>& words, std::string_view separ
 }
 
 // CLI11 shows a type with its bounds, as in "UINT:UINT in [0 - 3]" and "TEXT:{final,next-poll}".
-void split_type(std::string_view type, Shown& shown) {
+void split_type(std::string_view type, ShownOption& shown) {
   const std::size_t colon = type.find(':');
   shown.value = type.substr(0, colon);
   if (colon == std::string_view::npos) return;
@@ -77,38 +56,14 @@ void split_type(std::string_view type, Shown& shown) {
   }
 }
 
-Shown shown_of(const CLI::Option& option) {
-  Shown shown;
-  for (const std::string& name : option.get_snames()) shown.names.push_back('-' + name);
-  for (const std::string& name : option.get_lnames()) shown.names.push_back("--" + name);
-  shown.positional = shown.names.empty();
-  if (shown.positional) shown.names.push_back(option.get_name(true));
-  shown.required = option.get_required();
-  shown.text = option.get_description();
-  if (!shown.text.empty() && shown.text.back() != '.') shown.text += '.';
-  split_type(option.get_type_name(), shown);
-  if (!option.get_default_str().empty()) shown.text += fmt::format(" Default: {}.", option.get_default_str());
-  return shown;
-}
-
-std::vector<Shown> options_of(const CLI::App& app) {
-  std::vector<Shown> out;
+std::vector<ShownOption> options_of(const CLI::App& app) {
+  std::vector<ShownOption> out;
   for (const CLI::Option* option : app.get_options()) {
     if (!option->get_group().empty()) out.push_back(shown_of(*option));
   }
   // What has no name comes first, as on the command line.
-  std::stable_partition(out.begin(), out.end(), [](const Shown& option) { return option.positional; });
+  std::stable_partition(out.begin(), out.end(), [](const ShownOption& option) { return option.positional; });
   return out;
-}
-
-// What follows the words of the command.
-std::string synopsis(const CLI::App& app) {
-  std::string out = "[OPTIONS]";
-  for (const Shown& option : options_of(app)) {
-    if (!option.positional) continue;
-    out += option.required ? ' ' + option.names.front() : " [" + option.names.front() + ']';
-  }
-  return commands_of(app).empty() ? out : out + " COMMAND ...";
 }
 
 // Text for roff: no line begins with a control character, hyphens can be copied as minus.
@@ -126,7 +81,7 @@ std::string roff(std::string_view text) {
 
 std::string roff_options(const CLI::App& app) {
   std::string out;
-  for (const Shown& option : options_of(app)) {
+  for (const ShownOption& option : options_of(app)) {
     out += ".TP\n";
     if (option.positional) {
       out += fmt::format("\\fI{}\\fR\n", roff(option.names.front()));
@@ -137,6 +92,12 @@ std::string roff_options(const CLI::App& app) {
     out += roff(option.text) + (option.required ? " Required.\n" : "\n");
   }
   return out;
+}
+
+// Examples and pages, line by line.
+std::string roff_guide(const CLI::App& app) {
+  const std::string guide = app.get_footer();
+  return guide.empty() ? "" : fmt::format(".PP\n.nf\n{}\n.fi\n", roff(guide));
 }
 
 struct Word {
@@ -167,8 +128,14 @@ void append_cases(const CLI::App& app, const std::string& before, Cases& out) {
     own.words.push_back({command->get_name(), first_sentence(command->get_description())});
   }
   own.runs = own.words.empty();
-  for (const Shown& option : options_of(app)) {
-    if (option.positional) continue;
+  for (const ShownOption& option : options_of(app)) {
+    if (option.positional) {
+      if (option.value != kCommandValue) continue;
+      for (const CLI::App* command : commands_of(*app.get_parent()))
+        own.words.push_back({command->get_name(), first_sentence(command->get_description())});
+      own.runs = false;
+      continue;
+    }
     for (const std::string& name : option.names) {
       own.words.push_back({name, first_sentence(option.text)});
       if (!option.words.empty()) out.values.push_back({before, name, option.words});
@@ -196,6 +163,17 @@ std::string zsh_word(const Word& word) {
   return fmt::format("'{}:{}'", escaped(word.name), escaped(word.text));
 }
 
+// As a block of code in Markdown.
+std::string indented(std::string_view text) {
+  std::string out;
+  while (!text.empty()) {
+    const std::size_t end = text.find('\n');
+    out += fmt::format("    {}\n", text.substr(0, end));
+    text.remove_prefix(end == std::string_view::npos ? text.size() : end + 1);
+  }
+  return out;
+}
+
 // Text in a cell of a table.
 std::string cell(std::string_view text) {
   std::string out;
@@ -208,6 +186,45 @@ std::string cell(std::string_view text) {
 
 }  // namespace
 
+std::vector<const CLI::App*> commands_of(const CLI::App& app) {
+  return app.get_subcommands([](const CLI::App* command) { return !command->get_name().empty(); });
+}
+
+const CLI::App* find_command(const CLI::App& app, std::string_view name) {
+  const std::vector<const CLI::App*> commands = commands_of(app);
+  const auto found = std::find_if(commands.begin(), commands.end(),
+                                  [name](const CLI::App* command) { return command->get_name() == name; });
+  return found == commands.end() ? nullptr : *found;
+}
+
+std::string full_name(const CLI::App& app) {
+  const CLI::App* const parent = app.get_parent();
+  return parent == nullptr ? app.get_name() : full_name(*parent) + ' ' + app.get_name();
+}
+
+ShownOption shown_of(const CLI::Option& option) {
+  ShownOption shown;
+  for (const std::string& name : option.get_snames()) shown.names.push_back('-' + name);
+  for (const std::string& name : option.get_lnames()) shown.names.push_back("--" + name);
+  shown.positional = shown.names.empty();
+  if (shown.positional) shown.names.push_back(option.get_name(true));
+  shown.required = option.get_required();
+  shown.text = option.get_description();
+  if (!shown.text.empty() && shown.text.back() != '.') shown.text += '.';
+  split_type(option.get_type_name(), shown);
+  if (!option.get_default_str().empty()) shown.text += fmt::format(" Default: {}.", option.get_default_str());
+  return shown;
+}
+
+std::string synopsis(const CLI::App& app) {
+  std::string out = "[OPTIONS]";
+  for (const ShownOption& option : options_of(app)) {
+    if (!option.positional) continue;
+    out += option.required ? ' ' + option.names.front() : " [" + option.names.front() + ']';
+  }
+  return commands_of(app).empty() ? out : out + " COMMAND ...";
+}
+
 std::string first_sentence(std::string_view text) {
   const std::size_t stop = text.find(". ");
   std::string_view sentence = text.substr(0, stop);
@@ -215,7 +232,7 @@ std::string first_sentence(std::string_view text) {
   return std::string(sentence);
 }
 
-std::string manual_page(const CLI::App& app, int section) {
+std::string manual_page(const CLI::App& app, int section, std::string_view exit_codes) {
   const std::string& name = app.get_name();
   std::string title = name;
   std::transform(title.begin(), title.end(), title.begin(),
@@ -224,17 +241,19 @@ std::string manual_page(const CLI::App& app, int section) {
       fmt::format(".TH {} {} \"\" \"Groma {}\" \"Groma\"\n", title, section, io::program_version());
   page += fmt::format(".SH NAME\n{} \\- {}\n", name, roff(first_sentence(app.get_description())));
   page += fmt::format(".SH SYNOPSIS\n\\fB{}\\fR {}\n", name, roff(synopsis(app)));
-  page += fmt::format(".SH DESCRIPTION\n{}\n.SH OPTIONS\n{}", roff(app.get_description()), roff_options(app));
-  const std::vector<Command> commands = all_commands(app);
-  if (commands.front().app != &app) {
+  page +=
+      fmt::format(".SH DESCRIPTION\n{}\n.SH OPTIONS\n{}", roff(app.get_description()), roff_options(app)) +
+      roff_guide(app);
+  const std::vector<const CLI::App*> commands = all_commands(app);
+  if (commands.front() != &app) {
     page += ".SH COMMANDS\n";
-    for (const Command& command : commands) {
-      page += fmt::format(".SS {}\n\\fB{}\\fR {}\n.PP\n{}\n{}", roff(command.name), roff(command.name),
-                          roff(synopsis(*command.app)), roff(command.app->get_description()),
-                          roff_options(*command.app));
+    for (const CLI::App* command : commands) {
+      const std::string words = roff(full_name(*command));
+      page += fmt::format(".SS {}\n\\fB{}\\fR {}\n.PP\n{}\n{}{}", words, words, roff(synopsis(*command)),
+                          roff(command->get_description()), roff_options(*command), roff_guide(*command));
     }
   }
-  page += fmt::format(".SH EXIT STATUS\n{}\n", roff(app.get_footer()));
+  page += fmt::format(".SH EXIT STATUS\n{}\n", roff(exit_codes));
   page += ".SH SEE ALSO\n\\fBgroma\\fR(1), \\fBgromad\\fR(8)";
   return page;
 }
@@ -287,14 +306,16 @@ std::string zsh_completion(const CLI::App& app) {
 
 std::string option_tables(const CLI::App& app) {
   std::string out;
-  for (const Command& command : all_commands(app)) {
+  for (const CLI::App* command : all_commands(app)) {
+    const std::string words = full_name(*command);
     out += fmt::format("{}## {}\n\n    {} {}\n\n{}\n\n| option | |\n|---|---|\n", out.empty() ? "" : "\n",
-                       command.name, command.name, synopsis(*command.app), command.app->get_description());
-    for (const Shown& option : options_of(*command.app)) {
+                       words, words, synopsis(*command), command->get_description());
+    for (const ShownOption& option : options_of(*command)) {
       const std::string value = option.value.empty() || option.positional ? "" : ' ' + option.value;
       out += fmt::format("| `{}{}` | {}{} |\n", joined(option.names, ", "), value, cell(option.text),
                          option.required ? " Required." : "");
     }
+    if (!command->get_footer().empty()) out += "\n" + indented(command->get_footer());
   }
   out.pop_back();
   return out;

@@ -68,6 +68,12 @@ std::string read_file(const std::filesystem::path& path) {
   return text;
 }
 
+std::string read_configuration(const std::filesystem::path& path) {
+  if (!std::filesystem::exists(path))
+    throw ConfigError({path}, "does not exist", "check the path, or add the file");
+  return read_file(path);
+}
+
 std::string sha256(std::string_view bytes) {
   std::array<unsigned char, EVP_MAX_MD_SIZE> digest{};
   unsigned int size = 0;

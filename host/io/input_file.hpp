@@ -13,6 +13,9 @@ namespace groma::io {
 // or a non-regular file longer than 64 MiB) or PermissionError.
 [[nodiscard]] std::string read_file(const std::filesystem::path& path);
 
+// Like read_file(), for a configuration: throws ConfigError where the file does not exist.
+[[nodiscard]] std::string read_configuration(const std::filesystem::path& path);
+
 // Hexadecimal SHA-256.
 [[nodiscard]] std::string sha256(std::string_view bytes);
 

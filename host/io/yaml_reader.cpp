@@ -9,6 +9,8 @@
 #include <system_error>
 #include <utility>
 
+#include "host/io/spelling.hpp"
+
 namespace groma::io {
 
 namespace {
@@ -66,7 +68,9 @@ std::vector<ConfigError> YamlValue::key_errors(const Keys& keys) const {
   all.insert(all.end(), keys.optional.begin(), keys.optional.end());
   if (!node_.IsMap()) {
     const auto& wanted = keys.required.empty() ? all : keys.required;
-    return {error("has to be a map", fmt::format("give it the keys {}", joined(wanted)))};
+    const char* const is = node_.IsScalar() ? "a single value" : node_.IsSequence() ? "a list" : "empty";
+    return {error(fmt::format("needs keys, and is {}", is),
+                  fmt::format("write it as {{{}: ...}}; its keys are {}", wanted.front(), joined(wanted)))};
   }
   std::vector<ConfigError> errors;
   std::set<std::string> seen;
@@ -74,8 +78,10 @@ std::vector<ConfigError> YamlValue::key_errors(const Keys& keys) const {
     const FilePlace key_place = place_of(*path_, entry.first.Mark());
     const std::string key = entry.first.IsScalar() ? entry.first.Scalar() : std::string();
     if (std::find(all.begin(), all.end(), key) == all.end()) {
-      errors.emplace_back(key_place, fmt::format("unknown key {}", shown(key)),
-                          fmt::format("remove it; known here: {}", joined(all)));
+      const std::string meant = did_you_mean(key, all);
+      errors.emplace_back(
+          key_place, fmt::format("unknown key {}", shown(key)),
+          fmt::format("{}known here: {}", meant.empty() ? "remove it; " : meant, joined(all)));
     } else if (!seen.insert(key).second) {
       errors.emplace_back(key_place, fmt::format("key {} occurs twice", key), "keep one of them");
     }
@@ -181,7 +187,8 @@ std::size_t YamlValue::one_of(std::span<const std::string_view> words) const {
   const std::string word = text();
   const auto found = std::find(words.begin(), words.end(), word);
   if (found == words.end())
-    fail(fmt::format("is {}", shown(word)), fmt::format("it has to be one of {}", joined(words)));
+    fail(fmt::format("is {}", shown(word)),
+         fmt::format("{}it has to be one of {}", did_you_mean(word, words), joined(words)));
   return static_cast<std::size_t>(found - words.begin());
 }
 

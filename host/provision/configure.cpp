@@ -56,8 +56,10 @@ std::unique_ptr<NodeClient> connect(const std::string& port, unsigned baud, cons
   return std::make_unique<NodeClient>(std::move(opened.link), target);
 }
 
+// `remedy`: for a command that the node refuses.
 groma_Reply expect_reply(const NodeClient& client, const std::optional<groma_Reply>& reply,
-                         const char* command) {
+                         const char* command,
+                         const char* remedy = "correct the plan, or flash the image of this release") {
   if (!reply) throw Failure{NodeFault::kNoAnswer, client.explain_silence()};
   switch (link::number_in(reply->result)) {
     case groma_Result_RESULT_OK:
@@ -69,9 +71,7 @@ groma_Reply expect_reply(const NodeClient& client, const std::optional<groma_Rep
                     fmt::format("{} failed ({}); repeat it, and replace the node if that does not help",
                                 command, reply->text)};
     default:
-      throw Failure{NodeFault::kRefused,
-                    fmt::format("refuses to {}: {}; correct the plan, or flash the image of this release",
-                                command, reply->text)};
+      throw Failure{NodeFault::kRefused, fmt::format("refuses to {}: {}; {}", command, reply->text, remedy)};
   }
 }
 
@@ -520,7 +520,8 @@ SurveyOutcome survey_from(const std::string& port, unsigned baud, model::NodeId 
   note(surveyed.outcome, [&] {
     const std::unique_ptr<NodeClient> client = connect(port, baud, open, anchor);
     const auto survey = client->ask_survey(exchanges);
-    (void)expect_reply(*client, survey ? std::optional(survey->reply) : std::nullopt, "survey");
+    (void)expect_reply(*client, survey ? std::optional(survey->reply) : std::nullopt, "survey",
+                       "name anchors other than the master; ranges to the master are measured by the others");
     const std::size_t count =
         std::min<std::size_t>(survey->report.pairs_count, std::size(survey->report.pairs));
     for (const groma_SurveyPair& pair : std::span(survey->report.pairs).first(count)) {

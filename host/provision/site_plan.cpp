@@ -265,7 +265,7 @@ const PlannedNode* SitePlan::find(model::NodeId id) const {
 }
 
 SitePlan read_site_plan(const std::filesystem::path& path) {
-  const YamlValue root = YamlValue::parse(path, io::read_file(path));
+  const YamlValue root = YamlValue::parse(path, io::read_configuration(path));
   root.expect_keys({{"schema", "network_id", "nodes"},
                     {"schedule", "radio", "link", "report_raw_stamps", "correct_temperature",
                      "correct_power_bias", "network_key_file"}});

@@ -34,7 +34,7 @@ struct SitePlan {
 };
 
 // Relative ports are resolved from the plan's folder. Throws io::ConfigError with line and column, and as
-// io::read_file() does.
+// io::read_configuration() does.
 [[nodiscard]] SitePlan read_site_plan(const std::filesystem::path& path);
 
 }  // namespace groma::provision

@@ -404,7 +404,7 @@ Scenario parse_scenario(const std::filesystem::path& path, const std::string& te
 }
 
 Scenario read_scenario(const std::filesystem::path& path) {
-  return parse_scenario(path, io::read_file(path));
+  return parse_scenario(path, io::read_configuration(path));
 }
 
 }  // namespace groma::sim

@@ -11,7 +11,7 @@ namespace groma::sim {
 // Throws io::ConfigError with line and column of an invalid entry. `path` only names the text in messages.
 [[nodiscard]] Scenario parse_scenario(const std::filesystem::path& path, const std::string& text);
 
-// As parse_scenario(). Also throws io::DataError (file missing) and io::PermissionError.
+// As parse_scenario(). Also throws as io::read_configuration() does.
 [[nodiscard]] Scenario read_scenario(const std::filesystem::path& path);
 
 }  // namespace groma::sim

@@ -68,6 +68,20 @@ TEST_F(CovarianceBudget, TheOtherSideCountsWithItsProbability) {
   EXPECT_LT(added.norm(), 1e-9);
 }
 
+// Ranges that contradict each other make the biases uncertain, and leave the survey's covariance.
+TEST_F(CovarianceBudget, ASurveyedPositionKeepsItsCovariance) {
+  site_.evidence[0].los_states =
+      LosEvidence{.polls = {0.1, 0.2, 0.7}, .counts_missed = true, .far_share = 0.3};
+  site_.error.unseen_frame_covariance = 0.01 * Eigen::Matrix4d::Identity();
+  const Eigen::MatrixXd estimated = budget();
+  EXPECT_GT(estimated(0, 0), 2.0 * solved_(0, 0));
+  site_.fits[0].problem.position.surveyed = true;
+  const Eigen::MatrixXd surveyed = budget();
+  EXPECT_EQ(surveyed.topRows(3), solved_.topRows(3));
+  EXPECT_EQ(surveyed.leftCols(3), solved_.leftCols(3));
+  EXPECT_GT(surveyed(3, 3), 2.0 * solved_(3, 3));
+}
+
 TEST_F(CovarianceBudget, AnotherHeightByTheBeginningCountsOnlyWhereItWasKnown) {
   const double before_m2 = budget()(2, 2);
   AnchorFit& first = site_.beginning[0];

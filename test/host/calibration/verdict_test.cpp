@@ -45,6 +45,22 @@ TEST(JudgeAnchor, AnAnchorNeverInLosIsMarked) {
   EXPECT_EQ(verdict_of(evidence), AnchorVerdict::kNeverLos);
 }
 
+TEST(JudgeAnchor, ReflectionsSayNothingAgainstASurveyedPosition) {
+  AnchorEvidence evidence = good_evidence();
+  evidence.mirror.reset();
+  evidence.side.reset();
+  evidence.los_states = LosEvidence{.polls = {0.5, 0.2, 0.3}, .counts_missed = true, .far_share = 0.2};
+  EXPECT_EQ(verdict_of(evidence), AnchorVerdict::kWeak);
+  evidence.surveyed = true;
+  EXPECT_EQ(verdict_of(evidence), AnchorVerdict::kOk);
+  evidence.los_states->polls = {0.2, 0.3, 0.5};
+  EXPECT_EQ(verdict_of(evidence), AnchorVerdict::kOk) << "hardly in LOS: only its biases are less certain";
+  evidence.held_out_z = 5.0;
+  EXPECT_EQ(verdict_of(evidence), AnchorVerdict::kOk);
+  evidence.los_states->short_share = 0.05;
+  EXPECT_EQ(verdict_of(evidence), AnchorVerdict::kWeak) << "nothing shortens a range";
+}
+
 TEST(JudgeAnchor, AMirrorThatIsNearlyAsLikelyIsMarked) {
   AnchorEvidence evidence = good_evidence();
   evidence.mirror->cost_excess = 1.0;

@@ -3,12 +3,14 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <filesystem>
 #include <map>
 #include <regex>
 #include <set>
 #include <sstream>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "test/support/child_process.hpp"
@@ -101,6 +103,97 @@ TEST(Help, OfACommandThatDoesNotExistIsAUsageError) {
   EXPECT_EQ(groma({"--print-reference", "nonsense"}).exit_code, 2);
 }
 
+TEST(Help, NamesTheCommandOrOptionThatWasMeant) {
+  const std::vector<std::pair<std::vector<std::string>, std::string>> kMeant{
+      {{"calibrat"}, "groma: unknown command 'calibrat'; did you mean 'calibrate'? see 'groma --help'\n"},
+      {{"--verson"}, "groma: unknown option '--verson'; did you mean '--version'? see 'groma --help'\n"},
+      {{"surface", "fi"}, "groma: unknown command 'fi'; did you mean 'fit'? see 'groma surface --help'\n"},
+      {{"replay", "--modle", "joint", "drive"},
+       "groma: unknown option '--modle'; did you mean '--model'? see 'groma replay --help'\n"},
+      {{"replay", "drive", "--model", "jiont"},
+       "groma: --model: unknown word 'jiont'; did you mean 'joint'? it has to be one of odometry, original, "
+       "inflated, schmidt, anchor-states, joint\n"},
+      {{"calibrate", "drive", "out.yaml"},
+       "groma: unexpected argument 'out.yaml'; did you mean '--output out.yaml'? see 'groma calibrate "
+       "--help'\n"},
+      {{"dance"}, "groma: unknown command 'dance'; see 'groma --help'\n"},
+  };
+  for (const auto& [arguments, text] : kMeant) {
+    const ChildResult result = groma(arguments);
+    EXPECT_EQ(result.exit_code, 2) << text;
+    EXPECT_EQ(result.err, text);
+    EXPECT_THAT(result.out, IsEmpty());
+  }
+}
+
+TEST(Help, SaysInPlainWordsWhatIsWrong) {
+  const std::vector<std::pair<std::vector<std::string>, std::string>> kErrors{
+      {{}, "groma: a command is missing; see 'groma --help'\n"},
+      {{"surface"}, "groma: a command is missing; see 'groma surface --help'\n"},
+      {{"survey"}, "groma: PORT is required; see 'groma survey --help'\n"},
+      {{"demo", "--seed", "abc"}, "groma: --seed: 'abc' is not a number; see 'groma demo --help'\n"},
+      {{"demo", "--seed"}, "groma: --seed needs a value; see 'groma demo --help'\n"},
+      {{"explain", "drive", "--window", "0"},
+       "groma: --window: '0' is not a number above 0; see 'groma explain --help'\n"},
+      {{"replay", "drive", "--from", "3s"},
+       "groma: --from: '3s' is not a number; give seconds without a unit, such as 12.5\n"},
+      {{"plan", "--tags", "99"}, "groma: --tags: Value 99 is not within 1 to 16; see 'groma plan --help'\n"},
+      {{"plan", "plan.yaml", "--tags", "3"},
+       "groma: PLAN cannot be combined with --tags; see 'groma plan --help'\n"},
+  };
+  for (const auto& [arguments, text] : kErrors) {
+    const ChildResult result = groma(arguments);
+    EXPECT_EQ(result.exit_code, 2) << text;
+    EXPECT_EQ(result.err, text);
+  }
+}
+
+TEST(Help, IsACommandToo) {
+  EXPECT_EQ(groma({"help"}).out, groma({"--help"}).out);
+  EXPECT_EQ(groma({"help", "calibrate"}).out, groma({"calibrate", "--help"}).out);
+  EXPECT_EQ(groma({"help", "surface", "fit"}).out, groma({"surface", "fit", "--help"}).out);
+  EXPECT_EQ(groma({"help", "--help"}).exit_code, 0);
+  const ChildResult unknown = groma({"help", "calibrat"});
+  EXPECT_EQ(unknown.exit_code, 2);
+  EXPECT_THAT(unknown.err, HasSubstr("did you mean 'calibrate'?"));
+}
+
+// Each example is one of the command's own, or of a command that goes with it, and has options that exist.
+TEST(Help, OfEachCommandHasExamplesAndPages) {
+  const auto commands = defined_options();
+  for (const auto& [command, options] : commands) {
+    std::vector<std::string> words{"help"};
+    std::istringstream of(command);
+    for (std::string word; of >> word;) words.push_back(word);
+    const std::string help = groma(words).out;
+    std::istringstream lines(help);
+    std::size_t examples = 0;
+    for (std::string line; std::getline(lines, line);) {
+      EXPECT_LE(line.size(), 110U) << line;
+      EXPECT_THAT(line, testing::Not(testing::ContainsRegex("(TEXT|UINT|FLOAT|INT)( |$)"))) << command;
+      if (line.rfind("  groma ", 0) != 0) continue;
+      ++examples;
+      const std::string typed = line.substr(8) + ' ';
+      const auto run = std::find_if(commands.begin(), commands.end(),
+                                    [&](const auto& each) { return typed.rfind(each.first + ' ', 0) == 0; });
+      ASSERT_NE(run, commands.end()) << line;
+      for (const std::string& option : options_in(line)) EXPECT_TRUE(run->second.contains(option)) << line;
+    }
+    EXPECT_GE(examples, 2U) << command;
+    std::smatch page;
+    ASSERT_TRUE(std::regex_search(help, page, std::regex("\nDocumentation: ([^,#\n]+)"))) << command;
+    EXPECT_TRUE(std::filesystem::exists(kReference / "../.." / page[1].str())) << page[1];
+  }
+}
+
+TEST(Reference, IndexOfCommandsHasEachCommand) {
+  const std::string page = read_text(kReference / "commands.md");
+  for (const auto& [command, options] : defined_options()) {
+    const std::string anchor = std::regex_replace("groma " + command, std::regex(" "), "-");
+    EXPECT_THAT(page, HasSubstr("| [`" + command + "`](#" + anchor + ") | "));
+  }
+}
+
 TEST(Reference, PageOfOptionsIsThePrintedOne) {
   const std::string page = read_text(kReference / "options.md");
   const std::string text = printed("markdown");
@@ -150,6 +243,7 @@ TEST(Reference, CompletionKnowsCommandsOptionsAndTheirWords) {
   };
   EXPECT_EQ(after({"cal"}), "calibrate\n");
   EXPECT_EQ(after({"su"}), "surface survey\n");
+  EXPECT_EQ(after({"help", "cal"}), "calibrate\n");
   EXPECT_EQ(after({"surface", ""}), "fit -h --help\n");
   EXPECT_EQ(after({"surface", "fit", "--sp"}), "--spacing\n");
   EXPECT_EQ(after({"calibrate", "--known"}), "--known-anchors\n");
@@ -179,6 +273,7 @@ TEST(Reference, CompletionForZshKnowsTheSame) {
   };
   EXPECT_THAT(after({"cal"}), testing::StartsWith("calibrate:"));
   EXPECT_THAT(after({"su"}), testing::ContainsRegex("^surface:.+\nsurvey:.+\n$"));
+  EXPECT_THAT(after({"help", "cal"}), testing::StartsWith("calibrate:"));
   EXPECT_THAT(after({"surface", ""}), testing::StartsWith("fit:"));
   EXPECT_THAT(after({"surface", "fit", "--sp"}), testing::StartsWith("--spacing:"));
   EXPECT_THAT(after({"calibrate", "--known"}), testing::StartsWith("--known-anchors:"));

@@ -92,6 +92,12 @@ TEST_F(ConfigFile, ReadsLearnAndLog) {
   EXPECT_THAT(error_with(line, "{learn: true, drive_s: 120}"),
               HasSubstr("calibration.drive_s cannot be combined with"));
   EXPECT_THAT(error_with(line, "{learn: maybe}"), HasSubstr("calibration.learn"));
+  EXPECT_THAT(
+      error_with(line, "site.yaml"),
+      HasSubstr("calibration needs keys, and is a single value; write it as {file: ...}; its keys are file, "
+                "drive_s, learn, output"));
+  EXPECT_THAT(error_with("model: inflated", "model: smidt"),
+              HasSubstr("model is 'smidt'; did you mean 'schmidt'? it has to be one of odometry, "));
   EXPECT_THAT(error_with(line, "{file: a.yaml, output: b.yaml}"), HasSubstr("requires 'drive_s' or 'learn'"));
   EXPECT_THAT(error_with("speed: 4", "log: ''"), HasSubstr("log is empty"));
 }
@@ -148,7 +154,8 @@ TEST_F(ConfigFile, ReadsTheWebServer) {
 TEST_F(ConfigFile, NamesThePlaceOfEachMistake) {
   const std::string file = (folder_ / "gromad.yaml").string();
   EXPECT_THAT(error_with("speed: 4", "spede: 4"), HasSubstr(file + ":16:1: "));
-  EXPECT_THAT(error_with("speed: 4", "spede: 4"), HasSubstr("spede"));
+  EXPECT_THAT(error_with("speed: 4", "spede: 4"),
+              HasSubstr("unknown key 'spede'; did you mean 'speed'? known here: schema, "));
   EXPECT_THAT(error_with("baud: 115200", "boud: 115200"), HasSubstr(file + ":3:19: "));
   EXPECT_THAT(error_with("baud: 115200", "baud: fast"), HasSubstr(file + ":3:25: "));
   EXPECT_THAT(error_with("/dev/ttyACM7", "tag-1"), HasSubstr("twice"));
@@ -228,7 +235,9 @@ TEST_F(ConfigFile, KnowsWhereTheRobotsLinesComeFrom) {
               HasSubstr("robot.listen is no address"));
   EXPECT_THAT(error_with(socket, "robot: {listen: a, can: can0}"), HasSubstr("robot lacks the key dbc"));
   EXPECT_THAT(error_with(socket, "robot: {}"), HasSubstr("robot lacks the key can"));
-  EXPECT_THAT(error_with(socket, "robot: a"), HasSubstr("robot has to be a map"));
+  EXPECT_THAT(error_with(socket, "robot: a"),
+              HasSubstr("robot needs keys, and is a single value; write it as {listen: ...}; its keys are "
+                        "listen, can, dbc, signals"));
 }
 
 TEST_F(ConfigFile, ReadsASplineFromItsFolder) {

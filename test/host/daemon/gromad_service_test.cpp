@@ -177,7 +177,26 @@ TEST_F(GromadTest, CheckReportsEachErrorAndOpensNoDevice) {
   EXPECT_EQ(bad.exit_code, io::kBadConfiguration);
   const std::string file = (folder_ / "gromad.yaml").string();
   EXPECT_EQ(bad.err.rfind(file + ":10:24: calibration.drive_s is 1; ", 0), 0U) << bad.err;
-  EXPECT_THAT(bad.err, HasSubstr("\n" + file + ":13:1: unknown key 'sped'; "));
+  EXPECT_THAT(bad.err,
+              HasSubstr("\n" + file + ":13:1: unknown key 'sped'; did you mean 'speed'? known here: "));
+}
+
+TEST_F(GromadTest, SaysWhatIsWrongWithItsCommandLine) {
+  const auto error_of = [](std::vector<std::string> arguments, int exit_code) {
+    arguments.insert(arguments.begin(), GROMAD_PATH);
+    const groma::test::ChildResult result = groma::test::run_child(arguments);
+    EXPECT_EQ(result.exit_code, exit_code) << result.err;
+    return result.err;
+  };
+  EXPECT_EQ(error_of({"gromad.yaml"}, io::kUsage),
+            "gromad: unexpected argument 'gromad.yaml'; did you mean '--config gromad.yaml'? see 'gromad "
+            "--help'\n");
+  EXPECT_EQ(error_of({"--confg", "gromad.yaml"}, io::kUsage),
+            "gromad: unknown option '--confg'; did you mean '--config'? see 'gromad --help'\n");
+  const std::string none = folder_ / "none.yaml";
+  EXPECT_THAT(error_of({"--config", none}, io::kBadConfiguration), HasSubstr(none + ": does not exist; "));
+  const groma::test::ChildResult help = groma::test::run_child({GROMAD_PATH, "--help"});
+  EXPECT_THAT(help.out, HasSubstr("Documentation: docs/reference/gromad.md (each key of the configuration)"));
 }
 
 TEST_F(GromadTest, PrintsSchemaManualPageAndCompletion) {

@@ -124,6 +124,28 @@ TEST(EvaluationTest, ASingularCovarianceIsCountedAndExcluded) {
   EXPECT_FALSE(evaluate(pose_errors(std::span(estimate).subspan(1), truth))->nees);
 }
 
+TEST(EvaluationTest, CoverageIsTheShareOfEitherInputThatIsScored) {
+  std::vector<model::PlanarEstimate> estimate(100);  // 20 Hz, 5 s
+  for (std::size_t i = 0; i < estimate.size(); ++i) estimate[i].t_s = 0.05 * static_cast<double>(i);
+  const auto covered = [&](double from_s, double to_s, double step_s) {
+    std::vector<model::PoseSample> truth;
+    for (double t_s = from_s; t_s < to_s; t_s += step_s) truth.push_back({.t_s = t_s});
+    return coverage(estimate, truth, pose_errors(estimate, truth));
+  };
+  const Coverage all = covered(0.0, 4.9, 0.1);
+  EXPECT_EQ(all.estimate, 1.0);
+  EXPECT_EQ(all.truth, 1.0);
+  const Coverage slow = covered(0.0, 4.9, 1.0);
+  EXPECT_EQ(slow.estimate, 1.0) << "a truth of 1 Hz scores the rows between";
+  const Coverage short_truth = covered(1.0, 2.0, 0.1);
+  EXPECT_NEAR(short_truth.estimate, 1.5 / 5.0, 0.02);
+  EXPECT_EQ(short_truth.truth, 1.0);
+  const Coverage long_truth = covered(-5.0, 15.0, 0.1);
+  EXPECT_EQ(long_truth.estimate, 1.0);
+  EXPECT_NEAR(long_truth.truth, 0.25, 0.01);
+  EXPECT_EQ(covered(10.0, 12.0, 0.1).estimate, 0.0);
+}
+
 TEST(EvaluationTest, DisjointTimesGiveNoResult) {
   const std::array estimate{estimate_row(0.0, 1.0, 0.0, 0.0)};
   const std::array truth{pose(5.0, 0.0, 0.0, 0.0)};

@@ -350,7 +350,9 @@ TEST_F(OverTheAir, AnAnchorSurveysTheOthers) {
     others.insert(pair.to);
   }
   EXPECT_THAT(others, ::testing::ElementsAre(10, 12));
-  EXPECT_EQ(survey_from(plan.nodes[0].port, kBaud, 10, 40).outcome.fault, NodeFault::kRefused);
+  const NodeOutcome of_master = survey_from(plan.nodes[0].port, kBaud, 10, 40).outcome;
+  EXPECT_EQ(of_master.fault, NodeFault::kRefused);
+  EXPECT_THAT(of_master.message, ::testing::HasSubstr("; name anchors other than the master; "));
 }
 
 TEST_F(OverTheAir, ANodeThatDoesNotAnswerIsNamed) {
