@@ -77,18 +77,22 @@ void add_export(CLI::App& app, Action& action) {
       ->add_option(
           "ESTIMATE_OR_CALIBRATION", options->input,
           "Table that groma replay has written, table such as groundtruth.csv, or calibration (.yaml)")
-      ->required();
+      ->required()
+      ->type_name("FILE");
   command
       ->add_option("--format", options->format,
                    "tum: lines of time, position and quaternion, for evo and others (poses alone); csv; "
                    "geojson: the path, or the anchors")
       ->required()
-      ->check(CLI::IsMember(std::vector<std::string>{"tum", "csv", "geojson"}));
-  command->add_option(
-      "--datum", options->datum,
-      "LATITUDE,LONGITUDE,HEIGHT (degrees and metres, WGS84) of the map's origin, for geojson; "
-      "the map's x axis points east. Without it coordinates are the map's metres");
-  command->add_option("-o,--output", options->output, "File to write")->required();
+      ->check(CLI::IsMember(std::vector<std::string>{"tum", "csv", "geojson"}))
+      ->type_name("NAME");
+  command
+      ->add_option(
+          "--datum", options->datum,
+          "Latitude, longitude and height (degrees and metres, WGS84) of the map's origin, for geojson; "
+          "the map's x axis points east. Without it coordinates are the map's metres")
+      ->type_name("LAT,LON,HEIGHT");
+  command->add_option("-o,--output", options->output, "File to write")->required()->type_name("FILE");
   command->callback([options, &action] { action = [options] { return run(*options); }; });
 }
 

@@ -125,11 +125,16 @@ void add_import(CLI::App& app, Action& action) {
   command
       ->add_option("INPUT", options->inputs,
                    "Files; of rosbag2 (MCAP or SQLite) also folders; of KITTI the poses, then their times")
-      ->required();
-  command->add_option("--map", options->map,
-                      "YAML file: which column or field is which, units, tags, surface; by default what the "
-                      "names of columns and the types of messages say");
-  command->add_option("-o,--output", options->output, "Data set folder to write")->required();
+      ->required()
+      ->type_name("FILE");
+  command
+      ->add_option("--map", options->map,
+                   "YAML file: which column or field is which, units, tags, surface; by default what the "
+                   "names of columns and the types of messages say")
+      ->type_name("FILE");
+  command->add_option("-o,--output", options->output, "Data set folder to write")
+      ->required()
+      ->type_name("DIR");
   command->callback([options, &action] { action = [options] { return run(*options); }; });
 }
 

@@ -107,6 +107,7 @@ template <typename Samples>
 void add_kind(std::string_view name, const Samples& samples, std::vector<KindInfo>& out) {
   if (samples.empty()) return;
   std::vector<double> times_s;
+  times_s.reserve(samples.size());
   for (const auto& sample : samples) times_s.push_back(sample.t_s);
   std::sort(times_s.begin(), times_s.end());
   KindInfo& info = out.emplace_back();
@@ -343,15 +344,16 @@ using LogAction = int (*)(const LogOptions&);
 CLI::App* add_part(CLI::App& log, const char* name, const char* description,
                    const std::shared_ptr<LogOptions>& options, LogAction run, Action& action) {
   CLI::App* command = log.add_subcommand(name, description);
-  command->add_option("LOG", options->log, "Log that gromad recorded")->required();
+  command->add_option("LOG", options->log, "Log that gromad recorded")->required()->type_name("FILE");
   command->callback([options, run, &action] { action = [options, run] { return run(*options); }; });
   return command;
 }
 
 void add_times(CLI::App& command, LogOptions& options) {
-  command.add_option("--from", options.from_s, "Begin, t_s in seconds");
-  command.add_option("--to", options.to_s, "End, t_s in seconds");
-  command.add_option("--section", options.section, "Section of the log, from 1. Default: the last");
+  command.add_option("--from", options.from_s, "Begin, t_s in seconds")->type_name("S");
+  command.add_option("--to", options.to_s, "End, t_s in seconds")->type_name("S");
+  command.add_option("--section", options.section, "Section of the log, from 1. Default: the last")
+      ->type_name("N");
 }
 
 }  // namespace
@@ -370,7 +372,7 @@ void add_log(CLI::App& app, Action& action) {
                "reads it with a calibration.",
                options, run_cut, action);
   add_times(*cut, *options);
-  cut->add_option("-o,--output", options->output, "Log to write")->required();
+  cut->add_option("-o,--output", options->output, "Log to write")->required()->type_name("FILE");
   CLI::App* cat =
       add_part(*log, "cat", "Print measurements as JSON lines, by time.", options, run_cat, action);
   add_times(*cat, *options);

@@ -31,6 +31,7 @@ double parse_unit(const YamlValue& yaml, std::string_view key, const std::array<
   const std::optional<YamlValue> value = yaml.find(key);
   if (!value) return 1.0;
   std::vector<std::string_view> words;
+  words.reserve(units.size());
   for (const Unit& unit : units) words.push_back(unit.word);
   is_given = true;
   return units.at(value->one_of(words)).si;

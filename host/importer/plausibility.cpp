@@ -61,6 +61,7 @@ void expect_ranges(const std::filesystem::path& path, const ImportedTable& impor
                    std::span<const model::RangeSample> ranges, const Units& units) {
   if (ranges.empty() || units.length_is_given) return;
   std::vector<double> lengths_m;
+  lengths_m.reserve(ranges.size());
   for (const model::RangeSample& range : ranges) lengths_m.push_back(range.range_m);
   const double middle_m = median(std::move(lengths_m));
   if (middle_m <= io::kMaxRange_m) return;

@@ -129,8 +129,7 @@ class TextRows {
   [[nodiscard]] std::string_view field(std::size_t index) const {
     if (index >= fields_.size()) {
       throw io::DataError(
-          place(),
-          fmt::format("the row has {} fields, and the map names column {}", fields_.size(), index + 1),
+          place(), fmt::format("the row has {} fields, and column {} is needed", fields_.size(), index + 1),
           "complete the row, or correct the map");
     }
     return fields_[index];

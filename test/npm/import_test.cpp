@@ -186,11 +186,16 @@ TEST_F(NpmImport, ATornSqliteFileGivesWhatIsThere) {
   for (std::string line; std::getline(lines, line);) definition += "      " + line + '\n';
   folder_.write("defined.yaml", kMap + definition);
   const std::string bytes = test::read_text(folder_ / "bag.db3");
-  folder_.write("torn.db3", bytes.substr(0, bytes.size() * 7 / 10));
+  folder_.write("torn.db3", bytes.substr(0, bytes.size() * 99 / 100));
   const ChildResult result = import(folder_ / "torn.db3", "defined.yaml");
   EXPECT_EQ(result.exit_code, 3) << result.err;
   EXPECT_THAT(result.err, HasSubstr("the file is damaged or cut"));
-  EXPECT_GT(io::read_dataset(folder_ / "drive").ranges.size(), 100U);
+  EXPECT_GT(io::read_dataset(folder_ / "drive").ranges.size(), run_.ranges.size() * 9 / 10);
+  // Pages that lead to all others are missing.
+  folder_.write("torn.db3", bytes.substr(0, bytes.size() / 2));
+  const ChildResult half = import(folder_ / "torn.db3", "defined.yaml");
+  EXPECT_EQ(half.exit_code, 65);
+  EXPECT_THAT(half.err, HasSubstr("'sqlite3 FILE .recover' may save a damaged one"));
 }
 
 }  // namespace

@@ -33,6 +33,7 @@ class Import : public testing::Test {
   [[nodiscard]] Imported import(Format format, const std::vector<std::string>& names,
                                 const std::string& map = "", io::Dataset base = {}) const {
     std::vector<std::filesystem::path> inputs;
+    inputs.reserve(names.size());
     for (const std::string& name : names) inputs.push_back(folder_ / name);
     ImportMap read;
     if (!map.empty()) {
@@ -284,6 +285,9 @@ TEST_F(Import, SaysWhereWhatAndWhy) {
               HasSubstr("unknown key"));
   folder_.write("in.csv", "t_s,tag_id,anchor_id,range_m\n1,7,4,2\n");
   EXPECT_THAT(problem(Format::kCsv, {"in.csv"}), HasSubstr("the lever arms of the tags 7 are not known"));
+  folder_.write("cut.tum", "1 2 3 0 0 0 0 1\n1.1 2 3 0 0 0");
+  EXPECT_THAT(problem(Format::kTum, {"cut.tum"}),
+              HasSubstr("cut.tum:2: the row has 6 fields, and column 7 is needed"));
 }
 
 TEST_F(Import, NoticesWrongUnits) {
