@@ -78,11 +78,14 @@ string(
   "libc6 (>= 2.35)"
   "libfmt9 (>= 9.1.0+ds1)"
   "libgcc-s1 (>= 3.0)"
+  "liblz4-1 (>= 0.0~r127)"
   "libserialport0"
+  "libsqlite3-0 (>= 3.5.9)"
   "libssl3 (>= 3.0.0)"
   "libstdc++6 (>= 12)"
   "libunicorn2 (>= 2.0.1.post1)"
   "libyaml-cpp0.7 (>= 0.7.0)"
+  "libzstd1 (>= 1.5.2)"
   "systemd | systemd-standalone-sysusers | systemd-sysusers"
 )
 set(scripts ${CMAKE_SOURCE_DIR}/packaging)

@@ -40,10 +40,13 @@ int run(int argc, char** argv) {
   add_doctor(app, action);
   add_evaluate(app, action);
   add_explain(app, action);
+  add_export(app, action);
   add_flash(app, action);
   help::add_help_command(app);
   add_identify(app, action);
+  add_import(app, action);
   add_listen(app, action);
+  add_log(app, action);
   add_monitor(app, action);
   add_nodes(app, action);
   add_plan(app, action);

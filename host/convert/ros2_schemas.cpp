@@ -28,6 +28,8 @@ constexpr std::array kDefinitions{
                "geometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation\n"},
     Definition{"geometry_msgs/PoseWithCovariance", "geometry_msgs/Pose pose\nfloat64[36] covariance\n"},
     Definition{"geometry_msgs/TwistWithCovariance", "geometry_msgs/Twist twist\nfloat64[36] covariance\n"},
+    Definition{"geometry_msgs/PoseStamped", "std_msgs/Header header\ngeometry_msgs/Pose pose\n"},
+    Definition{"geometry_msgs/TwistStamped", "std_msgs/Header header\ngeometry_msgs/Twist twist\n"},
     Definition{"geometry_msgs/PoseWithCovarianceStamped",
                "std_msgs/Header header\ngeometry_msgs/PoseWithCovariance pose\n"},
     Definition{"geometry_msgs/TwistWithCovarianceStamped",
@@ -94,7 +96,7 @@ void add_contained(std::string_view fields, std::vector<std::string_view>& types
 
 std::string ros2_schema(std::string_view type) {
   std::string name(type);
-  name.replace(name.find("/msg/"), 5, "/");
+  if (const std::size_t at = name.find("/msg/"); at != std::string::npos) name.replace(at, 5, "/");
   const std::string_view fields = fields_of(name);
   std::vector<std::string_view> contained;
   add_contained(fields, contained);

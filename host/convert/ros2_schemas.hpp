@@ -1,4 +1,4 @@
-// Definitions of the ROS 2 messages that `groma convert --ros2` writes.
+// Definitions of the ROS 2 messages that `groma convert --ros2` writes and `groma import` knows.
 #pragma once
 
 #include <string>
@@ -7,7 +7,7 @@
 namespace groma::convert {
 
 // The definition of a type, such as "nav_msgs/msg/Odometry", followed by those of all types that it contains:
-// the schema of a channel with the schema encoding "ros2msg".
+// the schema of a channel with the schema encoding "ros2msg". Empty: the type is not known.
 [[nodiscard]] std::string ros2_schema(std::string_view type);
 
 }  // namespace groma::convert

@@ -124,10 +124,12 @@ std::vector<std::pair<model::NodeId, Eigen::Vector3d>> parse_points(const std::f
   return points;
 }
 
-std::vector<model::Tag> parse_tags(const std::filesystem::path& path, std::string_view text) {
+std::vector<model::Tag> parse_tags(const std::filesystem::path& path, std::string_view text,
+                                   bool needs_tags = true) {
   std::vector<model::Tag> tags;
   for (const auto& [id, point] : parse_points(path, text, "tag_id")) tags.push_back({id, point});
-  if (tags.empty()) throw DataError({path}, "there are no tags", "add a row tag_id,x_m,y_m,z_m for each");
+  if (tags.empty() && needs_tags)
+    throw DataError({path}, "there are no tags", "add a row tag_id,x_m,y_m,z_m for each");
   return tags;
 }
 
@@ -473,7 +475,7 @@ Dataset read_dataset(const std::filesystem::path& path, const ReadOptions& optio
   parse_description(YamlValue::parse(description, files.read(description)), folder, files, dataset);
 
   const std::filesystem::path tags = folder / "tags.csv";
-  dataset.tags = parse_tags(tags, files.read(tags));
+  dataset.tags = parse_tags(tags, files.read(tags), options.needs_tags);
 
   const std::filesystem::path anchors = folder / "anchors.csv";
   const bool with_anchors = options.surveyed_anchors && std::filesystem::exists(anchors);

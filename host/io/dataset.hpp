@@ -80,6 +80,7 @@ struct ReadOptions {
   bool ground_truth = true;      // groundtruth.csv, if present
   bool pose_prior = true;        // pose_prior.csv, else groundtruth.csv
   bool needs_pose_prior = true;  // throw if neither is present; false: pose_prior stays empty
+  bool needs_tags = true;        // throw if tags.csv of a folder has no rows
   std::optional<std::filesystem::path> pose_file = std::nullopt;  // replaces both as pose prior
   std::optional<std::size_t> log_section = std::nullopt;          // from 1; none: the log's last section
 };

@@ -5,33 +5,14 @@
 #include <span>
 
 #include "host/mcap/bytes.hpp"
-#include "proto/crc32.hpp"
+#include "host/mcap/format.hpp"
 
 namespace groma::mcap {
 
 namespace {
 
-constexpr std::string_view kMagic{"\x89MCAP0\r\n", 8};
 // As the other writers have it.
 constexpr std::size_t kChunkBytes = 1 << 20;
-
-enum class Opcode : std::uint8_t {
-  kHeader = 0x01,
-  kFooter = 0x02,
-  kSchema = 0x03,
-  kChannel = 0x04,
-  kMessage = 0x05,
-  kChunk = 0x06,
-  kMessageIndex = 0x07,
-  kChunkIndex = 0x08,
-  kStatistics = 0x0B,
-  kSummaryOffset = 0x0E,
-  kDataEnd = 0x0F,
-};
-
-std::uint32_t crc_of(std::string_view bytes) {
-  return wire::crc32({reinterpret_cast<const std::uint8_t*>(bytes.data()), bytes.size()});
-}
 
 void append_text(std::string& out, std::string_view text) {
   append(out, static_cast<std::uint32_t>(text.size()));

@@ -6,7 +6,6 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
-#include <cstdlib>
 #include <filesystem>
 #include <numbers>
 #include <sstream>
@@ -20,6 +19,7 @@
 #include "host/io/calibration_file.hpp"
 #include "host/io/dataset_writer.hpp"
 #include "host/io/log_file.hpp"
+#include "test/npm/node.hpp"
 #include "test/support/child_process.hpp"
 #include "test/support/scratch_folder.hpp"
 #include "test/support/small_run.hpp"
@@ -31,24 +31,10 @@ using nlohmann::json;
 using test::ChildResult;
 using testing::HasSubstr;
 
-const std::filesystem::path kFolder = std::filesystem::path(GROMA_SOURCE_DIR) / "test/npm";
+using test::node;
 
-// The program node; empty if it or the packages are missing.
-std::string node() {
-  if (!std::filesystem::exists(kFolder / "node_modules/@mcap/core")) return {};
-  const ChildResult found = test::run_child({"/bin/sh", "-c", "command -v node"});
-  return found.out.substr(0, found.out.find('\n'));
-}
-
-class NpmConvert : public testing::Test {
+class NpmConvert : public test::NpmTest {
  protected:
-  void SetUp() override {
-    if (!node().empty()) return;
-    const char* const message = "no node, or no packages in test/npm: run scripts/setup test";
-    if (std::getenv("GROMA_REQUIRE_NPM") != nullptr) FAIL() << message;
-    GTEST_SKIP() << message;
-  }
-
   NpmConvert() {
     using model::samples_of;
     io::Dataset& run = run_;
@@ -102,7 +88,7 @@ class NpmConvert : public testing::Test {
   }
   // What the packages read of the file.
   [[nodiscard]] json read() const {
-    const ChildResult result = test::run_child({node(), kFolder / "read_mcap.mjs", mcap_});
+    const ChildResult result = test::run_child({node(), test::kNpmFolder / "read_mcap.mjs", mcap_});
     EXPECT_EQ(result.exit_code, 0) << result.err;
     return json::parse(result.out);
   }

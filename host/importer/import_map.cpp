@@ -1,0 +1,170 @@
+#include "host/importer/import_map.hpp"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <limits>
+#include <numbers>
+#include <utility>
+
+#include "host/io/input_file.hpp"
+#include "host/io/site_description.hpp"
+#include "host/io/yaml_reader.hpp"
+
+namespace groma::importer {
+
+namespace {
+
+using io::YamlValue;
+
+constexpr std::int64_t kMaxId = std::numeric_limits<model::NodeId>::max();
+
+struct Unit {
+  std::string_view word;
+  double si = 1.0;
+};
+
+// The SI value of the unit that the key names; `is_given`: the key is there.
+template <std::size_t kUnits>
+double parse_unit(const YamlValue& yaml, std::string_view key, const std::array<Unit, kUnits>& units,
+                  bool& is_given) {
+  const std::optional<YamlValue> value = yaml.find(key);
+  if (!value) return 1.0;
+  std::vector<std::string_view> words;
+  words.reserve(units.size());
+  for (const Unit& unit : units) words.push_back(unit.word);
+  is_given = true;
+  return units.at(value->one_of(words)).si;
+}
+
+Units parse_units(const YamlValue& yaml) {
+  constexpr std::array<Unit, 5> kTimes{{{"s", 1.0}, {"ms", 1e-3}, {"us", 1e-6}, {"ns", 1e-9}, {"date", 1.0}}};
+  constexpr std::array<Unit, 5> kLengths{
+      {{"m", 1.0}, {"cm", 0.01}, {"mm", 0.001}, {"ft", 0.3048}, {"in", 0.0254}}};
+  constexpr std::array<Unit, 2> kAngles{{{"rad", 1.0}, {"deg", std::numbers::pi / 180.0}}};
+  yaml.expect_keys({{}, {"time", "length", "angle"}});
+  Units units;
+  units.time_s = parse_unit(yaml, "time", kTimes, units.time_is_given);
+  units.is_date = units.time_is_given && yaml.at("time").text() == "date";
+  units.length_m = parse_unit(yaml, "length", kLengths, units.length_is_given);
+  units.angle_rad = parse_unit(yaml, "angle", kAngles, units.angle_is_given);
+  return units;
+}
+
+// A name, a number of a column, or {value: NUMBER}.
+SourceColumn parse_column(const YamlValue& yaml) {
+  SourceColumn column;
+  if (yaml.is_map()) {
+    yaml.expect_keys({{"value"}});
+    column.constant = yaml.at("value").number();
+    return column;
+  }
+  column.name = yaml.text();
+  const bool is_number =
+      !column.name.empty() && column.name.find_first_not_of("0123456789") == std::string::npos;
+  if (is_number) column.number = static_cast<std::size_t>(yaml.integer(1, 100000));
+  return column;
+}
+
+model::NodeId parse_id(const YamlValue& yaml) {
+  return static_cast<model::NodeId>(yaml.integer(0, kMaxId));
+}
+
+PairColumn parse_pair(const YamlValue& yaml) {
+  yaml.expect_keys({{"tag", "anchor", "column"}});
+  return {parse_id(yaml.at("tag")), parse_id(yaml.at("anchor")), parse_column(yaml.at("column"))};
+}
+
+char parse_separator(const YamlValue& yaml) {
+  constexpr std::array<std::string_view, 4> kWords{"comma", "semicolon", "tab", "blanks"};
+  constexpr std::string_view kSeparators = ",;\t ";
+  return kSeparators.at(yaml.one_of(kWords));
+}
+
+void parse_columns(const YamlValue& yaml, Source& source) {
+  YamlValue::Keys keys;
+  for (const ColumnType& column : columns_of(source.to)) keys.optional.push_back(column.name);
+  yaml.expect_keys(keys);
+  for (const ColumnType& column : columns_of(source.to)) {
+    if (const std::optional<YamlValue> value = yaml.find(column.name))
+      source.columns.emplace(column.name, parse_column(*value));
+  }
+}
+
+Source parse_source(const YamlValue& yaml) {
+  constexpr std::array<std::string_view, 3> kHeaders{"first", "comment", "none"};
+  yaml.expect_keys(
+      {{"to"}, {"file", "topic", "columns", "pairs", "units", "header", "separator", "rows", "definition"}});
+  Source source;
+  source.place = yaml.place();
+  for (const std::string_view key : {"file", "topic"})
+    if (const auto value = yaml.find(key)) source.from = value->text();
+  source.to = static_cast<Table>(yaml.at("to").one_of(kTableNames));
+  if (const auto value = yaml.find("columns")) parse_columns(*value, source);
+  if (const auto value = yaml.find("pairs")) {
+    if (source.to != Table::kRanges) value->fail("is not of ranges", "write it only with to: ranges");
+    for (const YamlValue& pair : value->list()) source.pairs.push_back(parse_pair(pair));
+  }
+  if (const auto value = yaml.find("units")) source.units = parse_units(*value);
+  if (const auto value = yaml.find("header"))
+    source.header = static_cast<Source::Header>(value->one_of(kHeaders));
+  if (const auto value = yaml.find("separator")) source.separator = parse_separator(*value);
+  if (const auto value = yaml.find("rows")) {
+    value->expect_keys({{"column", "equals"}});
+    source.row_kind = parse_column(value->at("column"));
+    source.row_kind_text = value->at("equals").text();
+  }
+  if (const auto value = yaml.find("definition")) source.definition = value->text();
+  return source;
+}
+
+template <typename Node>
+std::vector<Node> parse_nodes(const YamlValue& yaml, std::string_view key) {
+  std::vector<Node> nodes;
+  for (const YamlValue& entry : yaml.list()) {
+    entry.expect_keys({{"id", key}});
+    const std::vector<double> at = entry.at(key).numbers(3);
+    nodes.push_back({parse_id(entry.at("id")), {at[0], at[1], at[2]}});
+  }
+  std::sort(nodes.begin(), nodes.end(), [](const Node& a, const Node& b) { return a.id < b.id; });
+  const auto twice = std::adjacent_find(nodes.begin(), nodes.end(),
+                                        [](const Node& a, const Node& b) { return a.id == b.id; });
+  if (twice != nodes.end()) yaml.fail(fmt::format("has id {} twice", twice->id), "keep one of them");
+  return nodes;
+}
+
+}  // namespace
+
+ImportMap read_import_map(const std::filesystem::path& path) {
+  const YamlValue yaml = YamlValue::parse(path, io::read_file(path));
+  constexpr std::array<std::string_view, 8> kSiteKeys{"name",  "tags",    "anchors", "odometry",
+                                                      "range", "surface", "imu",     "gnss"};
+  YamlValue::Keys keys{{"schema"}, {kSiteKeys.begin(), kSiteKeys.end()}};
+  keys.optional.insert(keys.optional.end(), {"sources", "axes"});
+  yaml.expect_keys(keys);
+  if (yaml.at("schema").integer(0, kMaxId) != 1)
+    yaml.at("schema").fail("is not 1", "this program reads schema 1 only");
+  ImportMap map;
+  for (const std::string_view key : kSiteKeys)
+    if (yaml.find(key)) map.given.emplace_back(key);
+  if (const auto value = yaml.find("name")) map.site.name = value->text();
+  if (const auto value = yaml.find("tags")) map.site.tags = parse_nodes<model::Tag>(*value, "lever_arm_m");
+  if (const auto value = yaml.find("anchors"))
+    map.site.surveyed_anchors = parse_nodes<model::Anchor>(*value, "position_m");
+  if (const auto value = yaml.find("odometry")) map.site.odometry_noise = io::parse_odometry_noise(*value);
+  if (const auto value = yaml.find("range")) map.site.range_priors = io::parse_range_priors(*value);
+  if (const auto value = yaml.find("surface")) {
+    io::InputFiles files;
+    map.site.surface = io::parse_surface(*value, path.parent_path(), files);
+  }
+  map.site.sensors = io::parse_sensors(yaml);
+  if (const auto value = yaml.find("sources"))
+    for (const YamlValue& source : value->list()) map.sources.push_back(parse_source(source));
+  if (const auto value = yaml.find("axes")) {
+    constexpr std::array<std::string_view, 2> kAxes{"robot", "camera"};
+    map.axes = value->one_of(kAxes) == 0 ? Axes::kRobot : Axes::kCamera;
+  }
+  return map;
+}
+
+}  // namespace groma::importer

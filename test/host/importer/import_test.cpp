@@ -1,0 +1,444 @@
+#include "host/importer/import.hpp"
+
+#include <fmt/format.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <sqlite3.h>
+
+#include <cmath>
+#include <numbers>
+#include <sstream>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "host/convert/convert.hpp"
+#include "host/convert/export.hpp"
+#include "host/io/dataset_writer.hpp"
+#include "host/io/error.hpp"
+#include "host/mcap/reader.hpp"
+#include "test/support/random.hpp"
+#include "test/support/scratch_folder.hpp"
+#include "test/support/small_run.hpp"
+
+namespace groma::importer {
+namespace {
+
+using testing::AllOf;
+using testing::HasSubstr;
+
+class Import : public testing::Test {
+ protected:
+  // Imports the files of the folder; `map` is the text of the map, empty: none.
+  [[nodiscard]] Imported import(Format format, const std::vector<std::string>& names,
+                                const std::string& map = "", io::Dataset base = {}) const {
+    std::vector<std::filesystem::path> inputs;
+    inputs.reserve(names.size());
+    for (const std::string& name : names) inputs.push_back(folder_ / name);
+    ImportMap read;
+    if (!map.empty()) {
+      folder_.write("map.yaml", "schema: 1\n" + map);
+      read = read_import_map(folder_ / "map.yaml");
+    }
+    return import_files(format, inputs, read, std::move(base));
+  }
+  [[nodiscard]] std::string problem(Format format, const std::vector<std::string>& names,
+                                    const std::string& map = "") const {
+    try {
+      static_cast<void>(import(format, names, map));
+    } catch (const io::Error& error) {
+      return error.what();
+    }
+    return "";
+  }
+
+  test::ScratchFolder folder_;
+};
+
+constexpr const char* kTags = "tags: [{id: 1, lever_arm_m: [0.3, 0, 0.5]}]\n";
+
+TEST_F(Import, ReadsRangesOfAnyLayout) {
+  folder_.write("log.txt",
+                "kind;when;anchor;dist\n"
+                "range;1000;4;5250\n"
+                "other;1010;;\n"
+                "range;1020;5;\"4100\"\n");
+  const Imported imported =
+      import(Format::kCsv, {"log.txt"},
+             std::string(kTags) +
+                 "sources:\n"
+                 "  - file: log.txt\n"
+                 "    to: ranges\n"
+                 "    separator: semicolon\n"
+                 "    rows: {column: kind, equals: range}\n"
+                 "    columns: {t_s: when, tag_id: {value: 1}, anchor_id: anchor, range_m: dist}\n"
+                 "    units: {time: ms, length: mm}\n");
+  const std::vector<model::RangeSample>& ranges = imported.dataset.ranges;
+  ASSERT_EQ(ranges.size(), 2U);
+  EXPECT_EQ(ranges[0].t_s, 1.0);
+  EXPECT_EQ(ranges[0].tag_id, 1);
+  EXPECT_EQ(ranges[0].anchor_id, 4);
+  EXPECT_EQ(ranges[0].range_m, 5.25);
+  EXPECT_EQ(ranges[1].t_s, 1.02);
+  EXPECT_EQ(ranges[1].range_m, 4.1);
+  EXPECT_EQ(imported.dataset.tags.at(0).lever_arm_m, Eigen::Vector3d(0.3, 0.0, 0.5));
+}
+
+TEST_F(Import, ReadsAColumnForEachPair) {
+  folder_.write("wide.csv", "# t,d_0_4,d_0_5\n1.5,6.5,0.0\n1.6,,7.25\n");
+  const Imported imported = import(Format::kCsv, {"wide.csv"},
+                                   "tags: [{id: 0, lever_arm_m: [0, 0, 0]}]\n"
+                                   "sources:\n"
+                                   "  - to: ranges\n"
+                                   "    header: comment\n"
+                                   "    columns: {t_s: t}\n"
+                                   "    pairs:\n"
+                                   "      - {tag: 0, anchor: 4, column: d_0_4}\n"
+                                   "      - {tag: 0, anchor: 5, column: d_0_5}\n");
+  ASSERT_EQ(imported.dataset.ranges.size(), 2U) << "an empty field and 0 are no ranges";
+  EXPECT_EQ(imported.dataset.ranges[1].anchor_id, 5);
+  EXPECT_EQ(imported.dataset.ranges[1].range_m, 7.25);
+}
+
+TEST_F(Import, ReadsDatesAndColumnsByNumber) {
+  folder_.write("log.csv", "1,2022-08-15 09:42:24.75,3.98,\n2,2022-08-15T09:42:25.00Z,3.67,\n");
+  const Imported imported = import(Format::kCsv, {"log.csv"},
+                                   std::string(kTags) +
+                                       "sources:\n"
+                                       "  - to: ranges\n"
+                                       "    header: none\n"
+                                       "    columns: {t_s: 2, tag_id: {value: 1}, anchor_id: 1, range_m: 3}\n"
+                                       "    units: {time: date}\n");
+  EXPECT_EQ(imported.dataset.ranges.at(0).t_s, 1660556544.75);
+  EXPECT_EQ(imported.dataset.ranges.at(1).t_s, 1660556545.0);
+}
+
+TEST_F(Import, AddsToADataSet) {
+  io::Dataset base = test::make_small_run(1.0, 1);
+  folder_.write("truth.txt", "0.5 1 2 3 0 0 0.6 0.8\n");
+  const Imported imported = import(Format::kTum, {"truth.txt"}, "", base);
+  EXPECT_EQ(imported.dataset.ranges.size(), base.ranges.size());
+  ASSERT_EQ(imported.dataset.ground_truth.size(), 1U);
+  EXPECT_NEAR(imported.dataset.ground_truth[0].yaw_rad, 2.0 * std::atan2(0.6, 0.8), 1e-12);
+  EXPECT_EQ(imported.dataset.ground_truth[0].z_m, 3.0);
+}
+
+TEST_F(Import, ReadsWhatItsTablesContain) {
+  const io::Dataset run = test::make_small_run(5.0, 1);
+  io::write_dataset(folder_.path(), run);
+  const Imported imported = import(Format::kCsv, {"ranges.csv", "odometry.csv", "groundtruth.csv",
+                                                  "pose_prior.csv", "tags.csv", "anchors.csv"});
+  folder_.write("again/empty", "");
+  io::write_dataset(folder_ / "again", imported.dataset);
+  for (const char* name :
+       {"ranges.csv", "odometry.csv", "groundtruth.csv", "pose_prior.csv", "tags.csv", "anchors.csv"})
+    EXPECT_EQ(test::read_text(folder_ / "again" / name), test::read_text(folder_ / name)) << name;
+}
+
+TEST_F(Import, ATrajectoryComesBackAsItWasExported) {
+  const io::Dataset run = test::make_small_run(5.0, 1);
+  io::write_dataset(folder_.path(), run);
+  const auto poses = convert::read_export_poses(folder_ / "groundtruth.csv");
+  folder_.write("truth.tum", convert::to_tum(poses));
+  folder_.write("truth_q.csv", convert::to_csv(poses));
+  for (const auto& [format, name] :
+       {std::pair(Format::kTum, "truth.tum"), std::pair(Format::kCsv, "truth_q.csv")}) {
+    const Imported imported = import(format, {name});
+    ASSERT_EQ(imported.dataset.ground_truth.size(), run.ground_truth.size());
+    for (std::size_t i = 0; i < run.ground_truth.size(); ++i) {
+      const model::PoseSample& pose = imported.dataset.ground_truth[i];
+      EXPECT_EQ(pose.t_s, run.ground_truth[i].t_s);
+      EXPECT_EQ(pose.x_m, run.ground_truth[i].x_m);
+      EXPECT_EQ(pose.y_m, run.ground_truth[i].y_m);
+      EXPECT_EQ(pose.z_m, run.ground_truth[i].z_m);
+      EXPECT_NEAR(pose.yaw_rad, run.ground_truth[i].yaw_rad, 1e-12);
+    }
+  }
+}
+
+TEST_F(Import, KittiAxesFollowFromTheMotion) {
+  const io::Dataset run = test::make_small_run(5.0, 1);
+  Eigen::Matrix3d camera;  // from the robot's axes
+  camera << 0, -1, 0, 0, 0, -1, 1, 0, 0;
+  for (const bool is_camera : {false, true}) {
+    std::string poses;
+    std::string times;
+    const Eigen::Matrix3d axes = is_camera ? camera : Eigen::Matrix3d(Eigen::Matrix3d::Identity());
+    for (const model::PoseSample& pose : run.ground_truth) {
+      const Eigen::Matrix3d rotation =
+          axes * model::rotation_from_zyx(pose.yaw_rad, 0.0, 0.0) * axes.transpose();
+      const Eigen::Vector3d position = axes * Eigen::Vector3d(pose.x_m, pose.y_m, pose.z_m);
+      for (Eigen::Index row = 0; row < 3; ++row)
+        poses += fmt::format("{}{} {} {} {}", row > 0 ? " " : "", rotation(row, 0), rotation(row, 1),
+                             rotation(row, 2), position(row));
+      poses += '\n';
+      times += fmt::format("{}\n", pose.t_s);
+    }
+    folder_.write("poses.txt", poses);
+    folder_.write("times.txt", times);
+    const Imported imported = import(Format::kKitti, {"poses.txt", "times.txt"});
+    ASSERT_EQ(imported.dataset.ground_truth.size(), run.ground_truth.size());
+    for (std::size_t i = 0; i < run.ground_truth.size(); ++i) {
+      const model::PoseSample& pose = imported.dataset.ground_truth[i];
+      EXPECT_NEAR(pose.x_m, run.ground_truth[i].x_m, 1e-12);
+      EXPECT_NEAR(pose.y_m, run.ground_truth[i].y_m, 1e-12);
+      EXPECT_NEAR(pose.yaw_rad, run.ground_truth[i].yaw_rad, 1e-9);
+    }
+    EXPECT_THAT(imported.tables.at(0).note, HasSubstr(is_camera ? "camera" : "robot"));
+  }
+  EXPECT_THAT(problem(Format::kKitti, {"poses.txt"}), HasSubstr("two files"));
+  folder_.write("times.txt", "0\n");
+  EXPECT_THAT(problem(Format::kKitti, {"poses.txt", "times.txt"}), HasSubstr("1 times for 100 poses"));
+  folder_.write("poses.txt", "1 0 0 0 0 2 0 0 0 0 1 0\n");
+  EXPECT_THAT(problem(Format::kKitti, {"poses.txt", "times.txt"}), HasSubstr("no rotation"));
+}
+
+TEST_F(Import, WhatConvertWritesComesBack) {
+  io::Dataset run = test::make_small_run(8.0, 1);
+  for (std::size_t i = 0; i < run.ranges.size(); i += 2) {
+    run.ranges[i].first_path_power_dbm = -82.25F;
+    run.ranges[i].line_of_sight = model::LineOfSight::kUncertain;
+    run.ranges[i].network_time_dtu = 9'007'199'254'740'993 + static_cast<std::int64_t>(i);  // no double
+  }
+  model::samples_of<model::YawRateSample>(run.sensor_samples) = {{1.01, 0.125}, {1.02, 0.25}};
+  model::samples_of<model::PositionSample>(run.sensor_samples) = {{1.02, 5.8, 0.6, {4.0, 0.5, 9.0}}};
+  model::samples_of<model::ZeroVelocitySample>(run.sensor_samples) = {{1.03}};
+  model::PoseSample pose = run.ground_truth.at(21);
+  pose.covariance = {0.25, 0.0, 0.0, 0.25, 0.0, 0.0625};
+  model::samples_of<model::PoseSample>(run.sensor_samples) = {pose};
+  folder_.write("drive.mcap", convert::to_mcap({.dataset = &run}, convert::Format::kRos2).bytes);
+  const Imported imported = import(Format::kRosbag2, {"drive.mcap"},
+                                   "tags:\n"
+                                   "  - {id: 1, lever_arm_m: [0.7, 0.4, 1.9]}\n"
+                                   "  - {id: 2, lever_arm_m: [-0.7, -0.4, 0.5]}\n");
+  EXPECT_THAT(imported.warnings, testing::IsEmpty());
+  const io::Dataset& back = imported.dataset;
+  ASSERT_EQ(back.ranges.size(), run.ranges.size());
+  for (std::size_t i = 0; i < run.ranges.size(); ++i) {
+    EXPECT_EQ(back.ranges[i].t_s, run.ranges[i].t_s);
+    EXPECT_EQ(back.ranges[i].tag_id, run.ranges[i].tag_id);
+    EXPECT_EQ(back.ranges[i].anchor_id, run.ranges[i].anchor_id);
+    EXPECT_EQ(back.ranges[i].range_m, run.ranges[i].range_m);
+    EXPECT_EQ(std::isnan(back.ranges[i].first_path_power_dbm),
+              std::isnan(run.ranges[i].first_path_power_dbm));
+    EXPECT_EQ(back.ranges[i].line_of_sight, run.ranges[i].line_of_sight);
+    EXPECT_EQ(back.ranges[i].network_time_dtu, run.ranges[i].network_time_dtu);
+  }
+  ASSERT_EQ(back.odometry.size(), run.odometry.size());
+  for (std::size_t i = 0; i < run.odometry.size(); ++i) {
+    EXPECT_NEAR(back.odometry[i].t_s, run.odometry[i].t_s, 1e-9);
+    EXPECT_EQ(back.odometry[i].vx_mps, run.odometry[i].vx_mps);
+    EXPECT_EQ(back.odometry[i].vy_mps, run.odometry[i].vy_mps);
+    EXPECT_EQ(back.odometry[i].omega_radps, run.odometry[i].omega_radps);
+  }
+  ASSERT_EQ(back.pose_prior.size(), run.pose_prior.size());
+  for (std::size_t i = 0; i < run.pose_prior.size(); ++i) {
+    EXPECT_NEAR(back.pose_prior[i].t_s, run.pose_prior[i].t_s, 1e-9);
+    EXPECT_EQ(back.pose_prior[i].x_m, run.pose_prior[i].x_m);
+    EXPECT_NEAR(back.pose_prior[i].yaw_rad, run.pose_prior[i].yaw_rad, 1e-12);
+    EXPECT_FALSE(back.pose_prior[i].covariance);
+  }
+  EXPECT_EQ(model::samples_of<model::YawRateSample>(back.sensor_samples).at(1).omega_radps, 0.25);
+  EXPECT_EQ(model::samples_of<model::PositionSample>(back.sensor_samples).at(0).covariance_m2[1], 0.5);
+  EXPECT_EQ(model::samples_of<model::ZeroVelocitySample>(back.sensor_samples).at(0).t_s, 1.03);
+  EXPECT_EQ(model::samples_of<model::PoseSample>(back.sensor_samples).at(0).covariance, pose.covariance);
+}
+
+TEST_F(Import, ATornRecordingGivesWhatIsThereAndAWarning) {
+  const io::Dataset run = test::make_small_run(80.0, 1);
+  const std::string bytes = convert::to_mcap({.dataset = &run}, convert::Format::kRos2).bytes;
+  folder_.write("drive.mcap", bytes.substr(0, bytes.size() * 6 / 10));
+  const std::string map = "tags: [{id: 1, lever_arm_m: [0, 0, 1]}, {id: 2, lever_arm_m: [0, 0, 1]}]\n";
+  const Imported imported = import(Format::kRosbag2, {"drive.mcap"}, map);
+  EXPECT_GT(imported.dataset.ranges.size(), 100U);
+  EXPECT_LT(imported.dataset.ranges.size(), run.ranges.size());
+  ASSERT_EQ(imported.warnings.size(), 1U);
+  EXPECT_THAT(imported.warnings[0], HasSubstr("ends before its end record"));
+  folder_.write("drive.mcap", bytes.substr(0, 100));
+  EXPECT_THAT(problem(Format::kRosbag2, {"drive.mcap"}, map), HasSubstr("no topic has a type that is known"));
+}
+
+TEST_F(Import, SaysWhereWhatAndWhy) {
+  const auto csv = [&](const std::string& text, const std::string& source) {
+    folder_.write("in.csv", text);
+    return problem(Format::kCsv, {"in.csv"},
+                   source.empty() ? "" : kTags + ("sources:\n  - " + source + "\n"));
+  };
+  EXPECT_THAT(csv("a,b\n1,2\n", ""), HasSubstr("its columns a, b are not those of a data set"));
+  EXPECT_THAT(csv("a,b\n1,2\n", "{to: ranges, columns: {t_s: time}}"),
+              AllOf(HasSubstr("in.csv:1: column time is missing"), HasSubstr("the header has a, b")));
+  EXPECT_THAT(csv("t_s,b\n1,2\n", "{to: odometry}"), HasSubstr("nothing gives vx_mps of odometry.csv"));
+  EXPECT_THAT(csv("t_s,x_m,y_m,yaw_rad\n1,2,3,4\n1,two,3,4\n", "{to: groundtruth}"),
+              HasSubstr("in.csv:3:3: 'two' is not a number"));
+  EXPECT_THAT(csv("t_s,x_m,y_m,yaw_rad\n1,nan,3,4\n", "{to: groundtruth}"), HasSubstr("not a finite number"));
+  EXPECT_THAT(csv("t_s,x_m,y_m,yaw_rad\n1,2,3,4\n1,2", "{to: groundtruth}"),
+              HasSubstr("in.csv:3: the row has 2 fields, the header 4"));
+  EXPECT_THAT(csv("t_s,x_m,y_m\n1,2,3\n", "{to: groundtruth}"), HasSubstr("neither yaw_rad nor qx"));
+  EXPECT_THAT(csv("t_s,x_m,y_m,qx,qy,qz,qw\n1,2,3,0,0,0,0.5\n", "{to: groundtruth}"),
+              HasSubstr("in.csv:2: qx, qy, qz and qw have the norm 0.500"));
+  EXPECT_THAT(csv("t_s,x_m,y_m,yaw_rad\n", "{to: groundtruth}"), HasSubstr("has no rows"));
+  EXPECT_THAT(csv("t_s,tag_id,anchor_id,range_m\n1,1,4.5,2\n", "{to: ranges}"),
+              HasSubstr("anchor_id is no id"));
+  EXPECT_THAT(csv("t_s,x_m,y_m,yaw_rad\n1,2,3,4\n", "{to: groundtruth, file: other.csv}"),
+              HasSubstr("no input is other.csv"));
+  EXPECT_THAT(csv("t_s,x_m,y_m,yaw_rad\n1,2,3,4\n", "{to: groundtruth, columns: {x: 1}}"),
+              HasSubstr("unknown key"));
+  folder_.write("in.csv", "t_s,tag_id,anchor_id,range_m\n1,7,4,2\n");
+  EXPECT_THAT(problem(Format::kCsv, {"in.csv"}), HasSubstr("the lever arms of the tags 7 are not known"));
+  folder_.write("cut.tum", "1 2 3 0 0 0 0 1\n1.1 2 3 0 0 0");
+  EXPECT_THAT(problem(Format::kTum, {"cut.tum"}),
+              HasSubstr("cut.tum:2: the row has 6 fields, and column 7 is needed"));
+}
+
+TEST_F(Import, NoticesWrongUnits) {
+  std::string ms = "t_s,x_m,y_m,yaw_rad\n";
+  std::string mm = "t_s,tag_id,anchor_id,range_m\n";
+  std::string degrees = "t_s,x_m,y_m,yaw_rad\n";
+  std::string backward = "t_s,x_m,y_m,yaw_rad\n";
+  for (int i = 0; i < 100; ++i) {
+    ms += fmt::format("{},1,2,0.5\n", 20 * i);
+    mm += fmt::format("{},1,4,{}\n", 0.1 * i, 5000 + i);
+    degrees += fmt::format("{},1,2,{}\n", 0.1 * i, i % 72 * 5 - 180);
+    backward += fmt::format("{},1,2,0.5\n", (i * 37) % 100);
+  }
+  folder_.write("ms.csv", ms);
+  folder_.write("mm.csv", mm);
+  folder_.write("degrees.csv", degrees);
+  folder_.write("backward.csv", backward);
+  EXPECT_THAT(problem(Format::kCsv, {"ms.csv"}), HasSubstr("20 s apart: the times are probably in ms"));
+  EXPECT_THAT(problem(Format::kCsv, {"mm.csv"}, kTags), HasSubstr("they are probably in mm"));
+  EXPECT_THAT(problem(Format::kCsv, {"degrees.csv"}), HasSubstr("probably in degrees"));
+  EXPECT_THAT(problem(Format::kCsv, {"backward.csv"}), HasSubstr("do not increase"));
+  EXPECT_EQ(problem(Format::kCsv, {"ms.csv"}, "sources: [{to: groundtruth, units: {time: s}}]\n"), "")
+      << "the user's word";
+  EXPECT_EQ(problem(Format::kCsv, {"ms.csv"}, "sources: [{to: groundtruth, units: {time: ms}}]\n"), "");
+  const Imported imported =
+      import(Format::kCsv, {"degrees.csv"}, "sources: [{to: groundtruth, units: {angle: deg}}]\n");
+  EXPECT_NEAR(imported.dataset.ground_truth.at(0).yaw_rad, -std::numbers::pi, 1e-12);
+}
+
+TEST_F(Import, WarnsOfTimesThatDoNotOverlap) {
+  folder_.write("ranges.csv", "t_s,tag_id,anchor_id,range_m\n1,1,4,5\n2,1,4,5\n");
+  folder_.write("odometry.csv", "t_s,vx_mps,omega_radps\n100,1,0\n101,1,0\n");
+  const Imported imported = import(Format::kCsv, {"ranges.csv", "odometry.csv"}, kTags);
+  ASSERT_EQ(imported.warnings.size(), 1U);
+  EXPECT_THAT(imported.warnings[0], HasSubstr("they do not overlap"));
+  EXPECT_EQ(imported.dataset.odometry.at(0).vy_mps, 0.0) << "not given";
+}
+
+TEST_F(Import, NamesTheTopicsThereAre) {
+  const io::Dataset run = test::make_small_run(2.0, 1);
+  folder_.write("drive.mcap", convert::to_mcap({.dataset = &run}, convert::Format::kRos2).bytes);
+  EXPECT_THAT(problem(Format::kRosbag2, {"drive.mcap"}, "sources: [{topic: /odom, to: odometry}]\n"),
+              AllOf(HasSubstr("has no topic '/odom'"), HasSubstr("/groma/input/odometry")));
+  EXPECT_THAT(
+      problem(Format::kRosbag2, {"drive.mcap"},
+              "sources: [{topic: /groma/ranges, to: ranges, columns: {range_m: 'ranges[].distance'}}]\n"),
+      AllOf(HasSubstr("map.yaml:"), HasSubstr("has no field distance; its fields are t_s, tag_id")));
+  folder_.write("drive.mcap", "nothing");
+  EXPECT_THAT(problem(Format::kRosbag2, {"drive.mcap"}), HasSubstr("is no MCAP file"));
+  folder_.write("drive.db3", std::string("SQLite format 3\0", 16) + std::string(1000, 'x'));
+  EXPECT_THAT(problem(Format::kRosbag2, {"drive.db3"}), HasSubstr("cannot be read"));
+}
+
+// The messages of an MCAP file as a recording in SQLite, with the tables of ROS 2 Iron.
+void write_sqlite(const std::string& mcap, const std::filesystem::path& path) {
+  sqlite3* database = nullptr;
+  ASSERT_EQ(sqlite3_open(path.c_str(), &database), SQLITE_OK);
+  const auto run = [&](const char* query, const std::vector<std::string>& values, std::int64_t time_ns = 0) {
+    sqlite3_stmt* statement = nullptr;
+    ASSERT_EQ(sqlite3_prepare_v2(database, query, -1, &statement, nullptr), SQLITE_OK) << query;
+    for (std::size_t i = 0; i < values.size(); ++i)
+      sqlite3_bind_blob(statement, static_cast<int>(i) + 1, values[i].data(),
+                        static_cast<int>(values[i].size()), SQLITE_TRANSIENT);
+    if (time_ns != 0) sqlite3_bind_int64(statement, static_cast<int>(values.size()) + 1, time_ns);
+    ASSERT_EQ(sqlite3_step(statement), SQLITE_DONE) << query;
+    sqlite3_finalize(statement);
+  };
+  run("CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT, serialization_format TEXT)", {});
+  run("CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, data BLOB)", {});
+  run("CREATE TABLE message_definitions(id INTEGER PRIMARY KEY, topic_type TEXT, encoding TEXT, "
+      "encoded_message_definition TEXT)",
+      {});
+  run("BEGIN", {});
+  std::istringstream file(mcap);
+  const auto content =
+      mcap::read(file, [&](std::uint16_t channel, std::uint64_t time_ns, std::string_view data) {
+        const std::string query =
+            fmt::format("INSERT INTO messages(topic_id, data, timestamp) VALUES ({}, ?, ?)", channel + 1);
+        run(query.c_str(), {std::string(data)}, static_cast<std::int64_t>(time_ns) + 1);
+      });
+  for (const auto& [id, channel] : content->channels) {
+    const std::string query =
+        fmt::format("INSERT INTO topics VALUES ({}, CAST(? AS TEXT), CAST(? AS TEXT), 'cdr')", id + 1);
+    run(query.c_str(), {channel.topic, channel.schema_name});
+    run("INSERT INTO message_definitions(topic_type, encoding, encoded_message_definition) "
+        "VALUES (CAST(? AS TEXT), 'ros2msg', CAST(? AS TEXT))",
+        {channel.schema_name, channel.schema_data});
+  }
+  run("COMMIT", {});
+  ASSERT_EQ(sqlite3_close(database), SQLITE_OK);
+}
+
+TEST_F(Import, SqliteGivesTheSameAsMcap) {
+  const io::Dataset run = test::make_small_run(4.0, 1);
+  const std::string mcap = convert::to_mcap({.dataset = &run}, convert::Format::kRos2).bytes;
+  folder_.write("drive.mcap", mcap);
+  write_sqlite(mcap, folder_ / "drive.db3");
+  const std::string tags = "tags: [{id: 1, lever_arm_m: [0, 0, 1]}, {id: 2, lever_arm_m: [0, 0, 1]}]\n";
+  io::write_dataset(folder_ / "a", import(Format::kRosbag2, {"drive.mcap"}, tags).dataset);
+  io::write_dataset(folder_ / "b", import(Format::kRosbag2, {"drive.db3"}, tags).dataset);
+  for (const char* name : {"ranges.csv", "odometry.csv", "pose_prior.csv"})
+    EXPECT_EQ(test::read_text(folder_ / "a" / name), test::read_text(folder_ / "b" / name)) << name;
+
+  const std::string good = test::read_text(folder_ / "drive.db3");
+  test::Random random(13);
+  for (int i = 0; i < 200; ++i) {
+    std::string bytes = good;
+    for (int change = 0; change < 20; ++change)
+      bytes[16 + random.next() % (bytes.size() - 16)] = static_cast<char>(random.next());
+    bytes.resize(16 + random.next() % (bytes.size() - 16));
+    folder_.write("torn.db3", bytes);
+    static_cast<void>(problem(Format::kRosbag2, {"torn.db3"}, tags));  // an error, or what is left
+  }
+}
+
+TEST_F(Import, SurvivesRandomBytes) {
+  const io::Dataset run = test::make_small_run(1.0, 1);
+  const std::string good = convert::to_mcap({.dataset = &run}, convert::Format::kRos2).bytes;
+  io::write_dataset(folder_.path(), run);
+  const std::string text = test::read_text(folder_ / "groundtruth.csv");
+  test::Random random(11);
+  std::size_t errors = 0;
+  for (int i = 0; i < 300; ++i) {
+    std::string bytes = good;
+    std::string table = text;
+    for (int change = 0; change < 4; ++change) {
+      bytes[random.next() % bytes.size()] = static_cast<char>(random.next());
+      table[random.next() % table.size()] = static_cast<char>(random.next());
+    }
+    folder_.write("drive.mcap", bytes);
+    folder_.write("table.csv", table);
+    if (!problem(Format::kRosbag2, {"drive.mcap"}).empty()) ++errors;
+    if (!problem(Format::kCsv, {"table.csv"}).empty()) ++errors;
+  }
+  EXPECT_GT(errors, 100U);
+}
+
+TEST(Export, ADatumPutsTheMapOnTheEarth) {
+  const convert::Datum datum{50.8, 12.9, 300.0};
+  const Eigen::Vector3d origin = convert::geographic(Eigen::Vector3d::Zero(), datum);
+  EXPECT_NEAR(origin.x(), 12.9, 1e-12);
+  EXPECT_NEAR(origin.y(), 50.8, 1e-12);
+  EXPECT_NEAR(origin.z(), 300.0, 1e-6);
+  // Radii of curvature of WGS84 at 50.8 degrees: 6390986 m across the meridian, 6374002 m along it.
+  const Eigen::Vector3d place = convert::geographic({100.0, 50.0, 2.0}, datum);
+  EXPECT_NEAR(
+      (place.x() - 12.9) * std::numbers::pi / 180.0 * 6391286.0 * std::cos(50.8 * std::numbers::pi / 180.0),
+      100.0, 0.02);
+  EXPECT_NEAR((place.y() - 50.8) * std::numbers::pi / 180.0 * 6374302.0, 50.0, 0.02);
+  EXPECT_NEAR(place.z(), 302.0, 0.002);
+}
+
+}  // namespace
+}  // namespace groma::importer

@@ -1,0 +1,142 @@
+#include "host/convert/ros2_message.hpp"
+
+#include <gtest/gtest.h>
+
+#include <stdexcept>
+#include <string>
+#include <variant>
+#include <vector>
+
+#include "host/convert/cdr_writer.hpp"
+#include "host/convert/ros2_schemas.hpp"
+#include "test/support/random.hpp"
+
+namespace groma::convert {
+namespace {
+
+// Every kind of field, a contained type, a constant, a default and comments.
+constexpr const char* kDefinition =
+    "# a comment\n"
+    "uint8 KIND=3  # a constant\n"
+    "string NAME = \"a=b\"\n"
+    "std_msgs/Header header\n"
+    "uint8 kind 3\n"
+    "int64 time_ns\n"
+    "Anchor[] anchors\n"
+    "string<=10[<=5] words\n"
+    "uint8[3] bytes\n"
+    "float32[] distances\n"
+    "bool done\n"
+    "================================================================================\n"
+    "MSG: pkg/Anchor\n"
+    "uint16 id\n"
+    "float64 distance\n";
+
+std::string message(const std::vector<double>& distances) {
+  CdrWriter out;
+  out.put(std::int32_t{5}).put(std::uint32_t{250000000}).put("map");
+  out.put(std::uint8_t{4}).put(std::int64_t{-1234567890123456789});
+  out.length(distances.size());
+  for (std::size_t i = 0; i < distances.size(); ++i)
+    out.put(static_cast<std::uint16_t>(10 + i)).put(distances[i]);
+  out.length(2).put("one").put("");
+  out.put(std::uint8_t{1}).put(std::uint8_t{2}).put(std::uint8_t{255});
+  out.length(2).put(1.5F).put(-2.5F);
+  out.put(true);
+  return out.message();
+}
+
+std::vector<double> numbers_at(const MessageValue& message, const char* path) {
+  std::vector<double> out;
+  for (const MessageValue* value : values_at(message, *FieldPath::parse(path))) {
+    if (const auto* whole = std::get_if<std::int64_t>(&value->content)) {
+      out.push_back(static_cast<double>(*whole));
+    } else {
+      out.push_back(std::get<double>(value->content));
+    }
+  }
+  return out;
+}
+
+TEST(Ros2Message, ReadsEachKindOfField) {
+  const MessageDefinition definition("pkg/msg/Ranges", kDefinition);
+  const std::optional<MessageValue> value = definition.read(message({3.25, 4.5, 5.75}));
+  ASSERT_TRUE(value);
+  using Numbers = std::vector<double>;
+  EXPECT_EQ(numbers_at(*value, "header.stamp.nanosec"), Numbers{250000000});
+  EXPECT_EQ(numbers_at(*value, "kind"), Numbers{4});
+  EXPECT_EQ(std::get<std::int64_t>(field_of(*value, "time_ns")->content), -1234567890123456789);
+  EXPECT_EQ(numbers_at(*value, "anchors[].id"), (Numbers{10, 11, 12}));
+  EXPECT_EQ(numbers_at(*value, "anchors[].distance"), (Numbers{3.25, 4.5, 5.75}));
+  EXPECT_EQ(numbers_at(*value, "anchors[1].distance"), Numbers{4.5});
+  EXPECT_EQ(numbers_at(*value, "anchors[3].distance"), Numbers{}) << "there is no such element";
+  EXPECT_EQ(numbers_at(*value, "bytes[]"), (Numbers{1, 2, 255}));
+  EXPECT_EQ(numbers_at(*value, "distances[]"), (Numbers{1.5, -2.5}));
+  EXPECT_EQ(numbers_at(*value, "done"), Numbers{1});
+  const auto words = values_at(*value, *FieldPath::parse("words[]"));
+  ASSERT_EQ(words.size(), 2U);
+  EXPECT_EQ(std::get<std::string>(words[0]->content), "one");
+}
+
+TEST(Ros2Message, ReadsBigEndian) {
+  const MessageDefinition definition("pkg/msg/One", "uint16 a\nfloat64 b\n");
+  const std::string bytes("\0\0\0\0\x01\x02\0\0\0\0\0\0\x3F\xF8\0\0\0\0\0\0", 20);
+  const std::optional<MessageValue> value = definition.read(bytes);
+  ASSERT_TRUE(value);
+  EXPECT_EQ(numbers_at(*value, "a"), std::vector<double>{258});
+  EXPECT_EQ(numbers_at(*value, "b"), std::vector<double>{1.5});
+}
+
+TEST(Ros2Message, SaysWhatIsWrongWithAPath) {
+  const MessageDefinition definition("pkg/msg/Ranges", kDefinition);
+  const auto problem = [&](const char* path) { return definition.problem_of(*FieldPath::parse(path)); };
+  EXPECT_EQ(problem("anchors[].distance"), "");
+  EXPECT_EQ(problem("header.stamp"), "");
+  EXPECT_EQ(problem("anchors[].range"), "has no field range; its fields are id, distance");
+  EXPECT_NE(problem("anchors.id"), "");
+  EXPECT_NE(problem("kind[]"), "");
+  EXPECT_NE(problem("kind.value"), "");
+  for (const char* text : {"", "a..b", "a[", "a[x]", ".a"}) EXPECT_FALSE(FieldPath::parse(text)) << text;
+}
+
+TEST(Ros2Message, RejectsDefinitionsThatCannotBeRead) {
+  const auto define = [](const char* text) { MessageDefinition("pkg/msg/A", text); };
+  EXPECT_THROW(define("Unknown field\n"), std::invalid_argument);
+  EXPECT_THROW(define("uint8\n"), std::invalid_argument);
+  EXPECT_THROW(define("uint8[x] a\n"), std::invalid_argument);
+  EXPECT_THROW(define("A again\n"), std::invalid_argument);
+  EXPECT_NO_THROW(define("")) << "an empty message";
+}
+
+TEST(Ros2Message, ReadsEachTypeThatConvertWrites) {
+  for (const char* type : {"nav_msgs/msg/Odometry", "sensor_msgs/msg/Imu", "groma_msgs/msg/Ranges",
+                           "geometry_msgs/msg/PoseWithCovarianceStamped", "tf2_msgs/msg/TFMessage",
+                           "visualization_msgs/msg/MarkerArray", "diagnostic_msgs/msg/DiagnosticArray"})
+    EXPECT_NO_THROW(MessageDefinition(type, ros2_schema(type))) << type;
+}
+
+TEST(Ros2Message, SurvivesRandomBytesAndDefinitions) {
+  const MessageDefinition definition("pkg/msg/Ranges", kDefinition);
+  const std::string good = message({1.0, 2.0, 3.0});
+  test::Random random(7);
+  std::size_t read = 0;
+  for (int i = 0; i < 20000; ++i) {
+    std::string bytes = good;
+    bytes[4 + random.next() % (bytes.size() - 4)] = static_cast<char>(random.next());
+    bytes.resize(random.next() % (bytes.size() + 1));
+    if (definition.read(bytes)) ++read;
+  }
+  EXPECT_LT(read, 2000U) << "a cut message is no message";
+  for (int i = 0; i < 2000; ++i) {
+    std::string text = kDefinition;
+    for (int change = 0; change < 5; ++change)
+      text[random.next() % text.size()] = static_cast<char>(random.next() % 96 + 32);
+    try {
+      static_cast<void>(MessageDefinition("pkg/msg/Ranges", text).read(good));
+    } catch (const std::invalid_argument&) {
+    }
+  }
+}
+
+}  // namespace
+}  // namespace groma::convert
