@@ -2,12 +2,16 @@
 #include <fmt/format.h>
 
 #include <memory>
+#include <span>
 #include <string>
+#include <utility>
+#include <vector>
 
 #include <CLI/CLI.hpp>
 
 #include "host/cli/command.hpp"
 #include "host/cli/json.hpp"
+#include "host/cli/report_output.hpp"
 #include "host/cli/terminal.hpp"
 #include "host/cli/warnings.hpp"
 #include "host/evaluation/evaluation.hpp"
@@ -23,8 +27,27 @@ namespace {
 struct EvaluateOptions {
   std::string estimate;
   std::string truth;
+  ReportFolder report;
   bool json = false;
 };
+
+std::vector<report::StateSpan> read_spans(const std::string& path) {
+  std::vector<report::StateSpan> spans;
+  for (io::StateRow& row : io::read_states(path)) {
+    if (!spans.empty()) spans.back().to_s = row.t_s;
+    if (spans.empty() || spans.back().state != row.state || spans.back().reason != row.reason)
+      spans.push_back({row.t_s, row.t_s, std::move(row.state), std::move(row.reason)});
+  }
+  return spans;
+}
+
+void write_report(const EvaluateOptions& options, std::span<const model::PlanarEstimate> estimate,
+                  std::span<const model::PoseSample> truth) {
+  report::Page page(fmt::format("Evaluation of {}", options.estimate),
+                    fmt::format("Against {}, at its times, without alignment.", options.truth));
+  report::add_drive(page, {.rows = estimate, .truth = truth, .states = read_spans(options.estimate)});
+  write_page(*options.report, std::move(page), {});
+}
 
 std::string format_table(const evaluation::Evaluation& evaluation) {
   Table table({"", "mean", "rmse", "std", "max"});
@@ -46,6 +69,7 @@ std::string format_table(const evaluation::Evaluation& evaluation) {
 }
 
 int run(const EvaluateOptions& options) {
+  prepare_report(options.report);
   Warnings warnings;
   const std::vector<model::PlanarEstimate> estimate = io::read_estimate(options.estimate);
   io::DroppedRows dropped;
@@ -70,6 +94,7 @@ int run(const EvaluateOptions& options) {
         "they are errors of the truth",
         options.truth, span.from_s, span.to_s, span.jump_m));
   }
+  if (options.report) write_report(options, estimate, truth);
   if (options.json) {
     say_json(cli::to_json(*result));
   } else {
@@ -89,6 +114,7 @@ void add_evaluate(CLI::App& app, Action& action) {
   command->add_option("ESTIMATE", options->estimate, "Table that groma replay has written")->required();
   command->add_option("TRUTH", options->truth, "Table t_s,x_m,y_m,z_m,yaw_rad, such as groundtruth.csv")
       ->required();
+  add_report_option(*command, options->report);
   command->add_flag("--json", options->json, "Print one JSON object");
   command->callback([options, &action] { action = [options] { return run(*options); }; });
 }
