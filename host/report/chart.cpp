@@ -623,6 +623,11 @@ void Chart::write_shapes(std::string& text, const View& view, double enlarged) c
 
 void Chart::write_marks(std::string& text, const View& view) const {
   const Output out(text);
+  // Labels may reach beyond the axes, marks may not be there.
+  const auto is_seen = [&](const Vector2d& at) {
+    return finite(at) && (at.array() >= view.box.low.array()).all() &&
+           (at.array() <= view.box.high.array()).all();
+  };
   // A nested element keeps its size, and its place by percentages, at any width.
   const auto begin_at = [&](const Vector2d& at) {
     const Vector2d share = view.percent(at);
@@ -633,7 +638,7 @@ void Chart::write_marks(std::string& text, const View& view) const {
   text += "<g class=\"marks\">\n";
   for (const Intervals& intervals : intervals_) {
     for (std::size_t i = 0; i < intervals.points.size(); ++i) {
-      if (!finite(intervals.points[i])) continue;
+      if (!is_seen(intervals.points[i])) continue;
       const std::string hint =
           fmt::format("{:.4g} ± {:.2g}", intervals.points[i].y(), intervals.half_heights[i]);
       begin_at(intervals.points[i]);
@@ -643,7 +648,7 @@ void Chart::write_marks(std::string& text, const View& view) const {
   }
   for (const Marks& marks : marks_) {
     for (const Mark& mark : marks.marks) {
-      if (!finite(mark.at)) continue;
+      if (!is_seen(mark.at)) continue;
       begin_at(mark.at);
       if (!mark.link.empty()) fmt::format_to(out, "<a href=\"#{}\">", escaped(mark.link));
       if (mark.hint.empty()) {
@@ -659,7 +664,7 @@ void Chart::write_marks(std::string& text, const View& view) const {
   }
   for (const Marks& marks : marks_) {
     for (const Mark& mark : marks.marks) {
-      if (!finite(mark.at) || mark.label.empty()) continue;
+      if (!is_seen(mark.at) || mark.label.empty()) continue;
       const Vector2d offset = place_of_label(mark.label, view(mark.at), taken);
       begin_at(mark.at);
       fmt::format_to(out, "<text class=\"label\" x=\"{:.1f}\" y=\"{:.1f}\">{}</text></svg>\n", offset.x(),

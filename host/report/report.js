@@ -157,6 +157,7 @@
         const [u, v] = this.shares(...at);
         element.setAttribute("x", `${100 * u}%`);
         element.setAttribute("y", `${100 * v}%`);
+        element.setAttribute("display", u >= 0 && u <= 1 && v >= 0 && v <= 1 ? "inline" : "none");
       }
       if (is_whole) {
         [this.grid.innerHTML, this.ticks.innerHTML] = this.whole;
