@@ -250,7 +250,11 @@ Chart::Box Chart::extent(double enlarged) const {
     box.high.y() = placed(Vector2d(0.0, axes_.y_range->y())).y();
   }
   if (axes_.log_y) box.low.y() = std::max(box.low.y(), box.high.y() - kMostDecades);
-  const Vector2d span = (box.high - box.low).cwiseMax(1e-9 * (1.0 + box.high.cwiseAbs().maxCoeff()));
+  Vector2d span = box.high - box.low;
+  for (double& of : span) {
+    const double size = 1.0 + box.high.cwiseAbs().maxCoeff();
+    if (of < 1e-9 * size) of = 1e-2 * size;
+  }
   const bool margins_of_x = x_names_.empty() && axes_.same_scale;
   const Vector2d margin(margins_of_x ? 0.05 * span.x() : 0.0, axes_.y_range ? 0.0 : 0.06 * span.y());
   return {box.low - margin, box.low + span + margin};
