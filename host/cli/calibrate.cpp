@@ -20,6 +20,7 @@
 #include "host/calibration/comparison.hpp"
 #include "host/cli/command.hpp"
 #include "host/cli/json.hpp"
+#include "host/cli/report_output.hpp"
 #include "host/cli/selection.hpp"
 #include "host/cli/terminal.hpp"
 #include "host/cli/warnings.hpp"
@@ -36,8 +37,6 @@ namespace groma::cli {
 
 namespace {
 
-constexpr const char* kReportName = "report.html";
-
 struct CalibrateOptions {
   std::filesystem::path dataset;
   std::optional<std::filesystem::path> poses;
@@ -45,7 +44,7 @@ struct CalibrateOptions {
   Selection selection;
   bool known_anchors = false;
   std::optional<std::filesystem::path> update;
-  std::optional<std::filesystem::path> report;
+  ReportFolder report;
   std::filesystem::path output;
   bool json = false;
 };
@@ -72,11 +71,11 @@ std::string format_table(const model::Calibration& calibration) {
 
 void write_report(const std::filesystem::path& folder, const io::Dataset& dataset,
                   const calibration::Drive& drive, const calibration::Result& result) {
-  report::Page page(fmt::format("Calibration from {}", dataset.name),
-                    fmt::format("Anchor positions and range biases, estimated from one {} drive. Input {}.",
-                                dataset.origin, dataset.sha256.substr(0, 12)));
+  report::Page page(
+      fmt::format("Calibration from {}", dataset.name),
+      fmt::format("Anchor positions and range biases, estimated from one {} drive.", dataset.origin));
   report::add_calibration(page, drive, result);
-  io::write_file(folder / kReportName, page.html());
+  write_page(folder, std::move(page), versions_of(dataset, {}));
 }
 
 // Takes over the updated calibration and reorders the fitted ranges; anchors that were only kept have none.
@@ -122,10 +121,7 @@ int run(const CalibrateOptions& options) {
     throw CLI::ValidationError("--update", "cannot be combined with --known-anchors");
   }
   io::expect_writable(options.output);
-  if (options.report) {
-    io::make_folder(*options.report);
-    io::expect_writable(*options.report / kReportName);
-  }
+  prepare_report(options.report);
   io::ReadOptions read;
   read.surveyed_anchors = options.known_anchors;
   read.odometry = false;
@@ -235,8 +231,7 @@ void add_calibrate(CLI::App& app, Action& action) {
   command->add_option("-o,--output", options->output, "Calibration file to write (YAML)")
       ->required()
       ->type_name("FILE");
-  command->add_option("--report", options->report, "Folder for a report, report.html, to open in a browser")
-      ->type_name("DIR");
+  add_report_option(*command, options->report);
   command->add_flag("--json", options->json, "Print one JSON object");
   command->callback([options, &action] { action = [options] { return run(*options); }; });
 }

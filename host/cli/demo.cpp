@@ -18,6 +18,7 @@
 #include "host/cli/demo_report.hpp"
 #include "host/cli/emulation_option.hpp"
 #include "host/cli/json.hpp"
+#include "host/cli/report_output.hpp"
 #include "host/cli/terminal.hpp"
 #include "host/io/calibration_file.hpp"
 #include "host/io/dataset_writer.hpp"
@@ -112,7 +113,7 @@ void write_report(const std::filesystem::path& folder, const sim::Scenario& scen
     io::write_file(folder / fmt::format("estimate_{}.csv", filter::model_name(run.model)),
                    io::format_estimate(run.estimate));
   }
-  io::write_file(folder / "report.html", format_demo_report(scenario, result, seed));
+  write_page(folder, demo_report(scenario, result, seed), {});
 }
 
 int run(const DemoOptions& options) {

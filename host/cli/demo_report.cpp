@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "host/report/calibration_report.hpp"
+#include "host/report/drive_report.hpp"
 #include "host/report/page.hpp"
 
 namespace groma::cli {
@@ -46,38 +47,42 @@ void add_summary(Page& page, const simulation::DemoResult& result) {
   page.add_facts(facts);
 }
 
-std::vector<Vector2d> way(const std::vector<model::PoseSample>& poses) {
-  std::vector<Vector2d> points;
+std::vector<Eigen::Vector3d> way(const std::vector<model::PoseSample>& poses) {
+  std::vector<Eigen::Vector3d> points;
   points.reserve(poses.size());
-  for (const model::PoseSample& pose : poses) points.emplace_back(pose.x_m, pose.y_m);
+  for (const model::PoseSample& pose : poses) points.emplace_back(pose.x_m, pose.y_m, pose.t_s);
   return points;
+}
+
+report::Walls walls_of(const sim::Scenario& scenario) {
+  report::Walls walls;
+  for (const sim::Wall& wall : scenario.walls) {
+    if (wall.bottom_m > kOverhead_m) continue;
+    const bool opaque = scenario.materials[wall.material].loss_db >= sim::kOpaqueLoss_db;
+    (opaque ? walls.opaque : walls.others).emplace_back(wall.from_m, wall.to_m);
+  }
+  return walls;
 }
 
 void add_map(Page& page, const sim::Scenario& scenario, const simulation::DemoResult& result) {
   Chart map({.x_label = "x (m)", .y_label = "y (m)", .same_scale = true, .height_px = 640.0});
-  std::vector<std::pair<Vector2d, Vector2d>> walls;
-  std::vector<std::pair<Vector2d, Vector2d>> obstacles;
-  for (const sim::Wall& wall : scenario.walls) {
-    if (wall.bottom_m > kOverhead_m) continue;
-    const bool opaque = scenario.materials[wall.material].loss_db >= sim::kOpaqueLoss_db;
-    (opaque ? walls : obstacles).emplace_back(wall.from_m, wall.to_m);
-  }
-  map.add_strokes("wall", Ink::kWall, std::move(walls));
-  map.add_strokes("rack, partition, machine", Ink::kOther, std::move(obstacles));
-  map.add_line("first drive", Ink::kPath, way(result.first_drive.ground_truth), true);
-  map.add_line("second drive, truth", Ink::kTruth, way(result.second_drive.ground_truth));
+  report::add_walls(map, walls_of(scenario));
+  map.add_path("first drive", Ink::kPath, way(result.first_drive.ground_truth), report::Stroke::kDashed);
+  map.add_path("second drive, truth", Ink::kTruth, way(result.second_drive.ground_truth),
+               report::Stroke::kBroad);
   if (const auto* run = run_of(result, filter::Model::kSchmidt)) {
-    std::vector<Vector2d> points;
+    std::vector<Eigen::Vector3d> points;
     std::vector<report::Ellipse> ellipses;
     double next_s = -1.0;
     for (const model::PlanarEstimate& row : run->estimate) {
-      points.emplace_back(row.x_m, row.y_m);
+      points.emplace_back(row.x_m, row.y_m, row.t_s);
       if (row.t_s < next_s) continue;
       next_s = row.t_s + kEllipseEvery_s;
-      ellipses.push_back({points.back(), row.covariance.topLeftCorner<2, 2>()});
+      ellipses.push_back({{row.x_m, row.y_m}, row.covariance.topLeftCorner<2, 2>()});
     }
-    map.add_line("second drive, estimate", Ink::kEstimate, std::move(points));
-    map.add_ellipses("95 % ellipse", Ink::kEstimate, std::move(ellipses));
+    map.add_path("second drive, estimate", Ink::kEstimate, std::move(points));
+    map.add_ellipses("95 % of the estimate", Ink::kEstimate, std::move(ellipses));
+    report::add_course(map, run->estimate, Ink::kEstimate);
   }
   std::vector<report::Mark> true_places;
   for (const model::Anchor& anchor : scenario.anchors) {
@@ -91,8 +96,8 @@ void add_map(Page& page, const sim::Scenario& scenario, const simulation::DemoRe
     ellipses.push_back({anchor.position_m.head<2>(), anchor.covariance.topLeftCorner<2, 2>()});
   }
   map.add_marks("anchor, truth", Ink::kTruth, std::move(true_places));
-  map.add_ellipses("", Ink::kAnchor, std::move(ellipses));
   map.add_marks("anchor, calibrated", Ink::kAnchor, std::move(calibrated));
+  map.add_ellipses("its 95 % ellipse", Ink::kAnchor, std::move(ellipses));
   page.add_chart(
       map,
       "The hall, its yard and both drives. The estimate is that of the model schmidt, calibrated from only "
@@ -102,7 +107,11 @@ void add_map(Page& page, const sim::Scenario& scenario, const simulation::DemoRe
 void add_models(Page& page, const simulation::DemoResult& result) {
   page.add_heading("Localization on the second drive");
   std::vector<std::vector<Cell>> rows;
-  Chart chart({.x_label = "time (s)", .y_label = "log10 of the position error (m)", .height_px = 300.0});
+  Chart chart({.x_label = "time (s)",
+               .y_label = "position error (m)",
+               .log_y = true,
+               .over_time = true,
+               .height_px = 300.0});
   std::size_t series = 0;
   for (const simulation::ModelRun& run : result.models) {
     const evaluation::Evaluation& e = run.evaluation;
@@ -120,18 +129,18 @@ void add_models(Page& page, const simulation::DemoResult& result) {
          evaluation::pose_errors(run.estimate, result.second_drive.ground_truth)) {
       if (error.t_s < next_s) continue;
       next_s = error.t_s + kPointEvery_s;
-      points.emplace_back(error.t_s, std::log10(std::max(std::hypot(error.x_m, error.y_m), kLowestError_m)));
+      points.emplace_back(error.t_s, std::max(std::hypot(error.x_m, error.y_m), kLowestError_m));
     }
     const Ink ink = run.model == filter::Model::kOdometry   ? Ink::kOther
                     : run.model == filter::Model::kOriginal ? Ink::kBad
                                                             : report::series_ink(series++);
-    chart.add_line(name, ink, std::move(points), run.model == filter::Model::kOdometry);
+    chart.add_line(name, ink, std::move(points),
+                   run.model == filter::Model::kOdometry ? report::Stroke::kDashed : report::Stroke::kThin);
   }
   page.add_table(
       {"model", "ATE mean m", "ATE max m", "heading mean rad", "heading max rad", "NEES mean", "inside 95 %"},
       rows);
-  page.add_chart(
-      chart, "The position error of each model over time: 0 is a metre, -1 a decimetre, -2 a centimetre.");
+  page.add_chart(chart, "The position error of each model over time, on a logarithmic scale.");
 }
 
 void add_calibration_errors(Page& page, const simulation::DemoResult& result) {
@@ -157,8 +166,8 @@ void add_calibration_errors(Page& page, const simulation::DemoResult& result) {
 
 }  // namespace
 
-std::string format_demo_report(const sim::Scenario& scenario, const simulation::DemoResult& result,
-                               std::uint64_t seed) {
+report::Page demo_report(const sim::Scenario& scenario, const simulation::DemoResult& result,
+                         std::uint64_t seed) {
   Page page("groma demo",
             fmt::format("{}, seed {}: {} tags and {} anchors ran the firmware on a modelled radio and "
                         "streamed over pseudo-terminals",
@@ -173,8 +182,8 @@ std::string format_demo_report(const sim::Scenario& scenario, const simulation::
   drive.tags = result.first_drive.tags;
   drive.surface = &result.first_drive.surface;
   drive.priors = result.first_drive.range_priors;
-  report::add_calibration(page, drive, result.calibration);
-  return page.html();
+  report::add_calibration(page, drive, result.calibration, walls_of(scenario));
+  return page;
 }
 
 }  // namespace groma::cli

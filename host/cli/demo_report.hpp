@@ -2,14 +2,14 @@
 #pragma once
 
 #include <cstdint>
-#include <string>
 
 #include "firmware/sim/world/scenario.hpp"
+#include "host/report/page.hpp"
 #include "host/simulation/demo.hpp"
 
 namespace groma::cli {
 
-[[nodiscard]] std::string format_demo_report(const sim::Scenario& scenario,
-                                             const simulation::DemoResult& result, std::uint64_t seed);
+[[nodiscard]] report::Page demo_report(const sim::Scenario& scenario, const simulation::DemoResult& result,
+                                       std::uint64_t seed);
 
 }  // namespace groma::cli

@@ -6,6 +6,7 @@
 #include <filesystem>
 #include <memory>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include <CLI/CLI.hpp>
@@ -13,10 +14,12 @@
 #include "host/calibration/comparison.hpp"
 #include "host/cli/command.hpp"
 #include "host/cli/json.hpp"
+#include "host/cli/report_output.hpp"
 #include "host/cli/terminal.hpp"
 #include "host/io/calibration_file.hpp"
 #include "host/io/error.hpp"
 #include "host/io/exit_code.hpp"
+#include "host/report/comparison_report.hpp"
 
 namespace groma::cli {
 
@@ -25,8 +28,17 @@ namespace {
 struct DiffOptions {
   std::filesystem::path a;
   std::filesystem::path b;
+  ReportFolder report;
   bool json = false;
 };
+
+void write_report(const DiffOptions& options, const calibration::Comparison& comparison,
+                  const model::Calibration& a, const model::Calibration& b) {
+  report::Page page("Two calibrations of a site", fmt::format("{} is the earlier one, {} the later.",
+                                                              options.a.string(), options.b.string()));
+  report::add_comparison(page, comparison, a, b);
+  write_page(*options.report, std::move(page), {{"earlier", version_of(a)}, {"later", version_of(b)}});
+}
 
 std::string verdict_of(const model::Calibration& calibration, model::NodeId id) {
   return std::string(io::word(model::find_anchor(calibration, id)->verdict));
@@ -126,6 +138,7 @@ Json to_json(const calibration::Comparison& comparison, const model::Calibration
 }
 
 int run(const DiffOptions& options) {
+  prepare_report(options.report);
   const model::Calibration a = io::read_calibration(options.a);
   const model::Calibration b = io::read_calibration(options.b);
   if (a.frame != b.frame) {
@@ -133,6 +146,7 @@ int run(const DiffOptions& options) {
                         "compare calibrations of one frame");
   }
   const calibration::Comparison comparison = calibration::compare(a, b);
+  if (options.report) write_report(options, comparison, a, b);
   if (options.json) {
     say_json(to_json(comparison, a, b));
   } else {
@@ -152,6 +166,7 @@ void add_diff(CLI::App& app, Action& action) {
       "both. Ends with 0 if they are the same within their errors, with 3 if they differ.");
   command->add_option("A", options->a, "Calibration file, the earlier one")->required()->type_name("FILE");
   command->add_option("B", options->b, "Calibration file, the later one")->required()->type_name("FILE");
+  add_report_option(*command, options->report);
   command->add_flag("--json", options->json, "Print one JSON object");
   command->callback([options, &action] { action = [options] { return run(*options); }; });
 }

@@ -4,13 +4,16 @@
 #include <algorithm>
 #include <cstddef>
 #include <memory>
+#include <span>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include <CLI/CLI.hpp>
 
 #include "host/cli/command.hpp"
 #include "host/cli/json.hpp"
+#include "host/cli/report_output.hpp"
 #include "host/cli/terminal.hpp"
 #include "host/cli/warnings.hpp"
 #include "host/evaluation/evaluation.hpp"
@@ -26,11 +29,30 @@ namespace {
 struct EvaluateOptions {
   std::string estimate;
   std::string truth;
+  ReportFolder report;
   bool json = false;
 };
 
 // Below this share of either file a score says little of it.
 constexpr double kLeastScored = 0.5;
+
+std::vector<report::StateSpan> read_spans(const std::string& path) {
+  std::vector<report::StateSpan> spans;
+  for (io::StateRow& row : io::read_states(path)) {
+    if (!spans.empty()) spans.back().to_s = row.t_s;
+    if (spans.empty() || spans.back().state != row.state || spans.back().reason != row.reason)
+      spans.push_back({row.t_s, row.t_s, std::move(row.state), std::move(row.reason)});
+  }
+  return spans;
+}
+
+void write_report(const EvaluateOptions& options, std::span<const model::PlanarEstimate> estimate,
+                  std::span<const model::PoseSample> truth) {
+  report::Page page(fmt::format("Evaluation of {}", options.estimate),
+                    fmt::format("Against {}, at its times, without alignment.", options.truth));
+  report::add_drive(page, {.rows = estimate, .truth = truth, .states = read_spans(options.estimate)});
+  write_page(*options.report, std::move(page), {});
+}
 
 std::string format_table(const evaluation::Evaluation& evaluation, const evaluation::Coverage& scored) {
   Table table({"", "mean", "rmse", "std", "max"});
@@ -65,6 +87,7 @@ std::string frozen_text(const std::vector<evaluation::FrozenSpan>& spans) {
 }
 
 int run(const EvaluateOptions& options) {
+  prepare_report(options.report);
   Warnings warnings;
   const std::vector<model::PlanarEstimate> estimate = io::read_estimate(options.estimate);
   io::DroppedRows dropped;
@@ -95,6 +118,7 @@ int run(const EvaluateOptions& options) {
                     "clock, unless one of them is a part",
                     100.0 * scored.estimate, options.estimate, 100.0 * scored.truth, options.truth));
   }
+  if (options.report) write_report(options, estimate, truth);
   if (options.json) {
     Json json = cli::to_json(*result);
     json["scored"] = {{"estimate", scored.estimate}, {"truth", scored.truth}};
@@ -119,6 +143,7 @@ void add_evaluate(CLI::App& app, Action& action) {
   command->add_option("TRUTH", options->truth, "Table t_s,x_m,y_m,z_m,yaw_rad, such as groundtruth.csv")
       ->required()
       ->type_name("FILE");
+  add_report_option(*command, options->report);
   command->add_flag("--json", options->json, "Print one JSON object");
   command->callback([options, &action] { action = [options] { return run(*options); }; });
 }

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
+#include <limits>
 #include <map>
 #include <memory>
 #include <string>
@@ -15,6 +16,7 @@
 #include "host/cli/command.hpp"
 #include "host/cli/filter_input.hpp"
 #include "host/cli/json.hpp"
+#include "host/cli/report_output.hpp"
 #include "host/cli/terminal.hpp"
 #include "host/cli/warnings.hpp"
 #include "host/filter/replay.hpp"
@@ -30,6 +32,7 @@ struct ExplainOptions {
   std::string model{filter::model_name(filter::Config{}.model)};
   double at_s = 0.0;
   double window_s = 0.5;
+  ReportFolder report;
 };
 
 // A range and the filter's result for it.
@@ -363,10 +366,45 @@ std::string text_of(const ExplainOptions& options, const History& history) {
   return out + table_of(options, history);
 }
 
+void write_report(const ExplainOptions& options, const FilterInput::Drive& drive, const History& history) {
+  filter::ReplayResult shown;
+  for (const Moment& moment : history.moments) {
+    const model::PlanarPose& pose = moment.estimate.pose;
+    shown.rows.push_back({moment.state.t_s, pose.x_m, pose.y_m, pose.theta_rad, moment.estimate.covariance});
+    shown.states.push_back({moment.state.state, moment.state.reason});
+  }
+  report::MomentView view{.at_s = options.at_s,
+                          .rows = shown.rows,
+                          .states = state_spans(shown),
+                          .calibration = &drive.calibration};
+  for (const auto& [pair, ranges] : history.pairs) {
+    for (const RangeRecord& record : ranges) {
+      const filter::RangeResult& result = record.result;
+      view.ranges.push_back({.t_s = record.t_s,
+                             .tag_id = pair.first,
+                             .anchor_id = pair.second,
+                             .range_m = record.range_m,
+                             .innovation_m = result.innovation_m,
+                             .sigma_m = reached_gate(record) ? std::sqrt(result.innovation_variance_m2)
+                                                             : std::numeric_limits<double>::quiet_NaN(),
+                             .weight = result.weight,
+                             .correction = result.correction,
+                             .why = why(record)});
+    }
+  }
+  report::Page page(
+      fmt::format("{} at {} s", drive.dataset.name, options.at_s),
+      fmt::format("What the model {} did within {} s of that moment.", options.model, options.window_s));
+  report::add_moment(page, view);
+  write_page(*options.report, std::move(page), versions_of(drive.dataset, drive.calibration));
+}
+
 int run(const ExplainOptions& options) {
+  prepare_report(options.report);
   Warnings warnings;
   FilterInput::Drive drive = options.input.read("explain", FilterInput::StartIs::kFoundOtherwise, warnings);
   const History history = replay(options, drive);
+  if (options.report) write_report(options, drive, history);
   if (options.input.json()) {
     say_json(to_json(options, history));
   } else {
@@ -400,6 +438,7 @@ void add_explain(CLI::App& app, Action& action) {
       ->add_option("--model", options->model, fmt::format("As of groma replay. Default: {}", options->model))
       ->check(CLI::IsMember(std::move(names)))
       ->type_name("NAME");
+  add_report_option(*command, options->report);
   options->input.add_json(*command);
   command->callback([options, &action] { action = [options] { return run(*options); }; });
 }

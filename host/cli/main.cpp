@@ -4,10 +4,12 @@
 #include <csignal>
 #include <exception>
 #include <optional>
+#include <span>
 
 #include <CLI/CLI.hpp>
 
 #include "host/cli/command.hpp"
+#include "host/cli/report_output.hpp"
 #include "host/cli/terminal.hpp"
 #include "host/help/help.hpp"
 #include "host/io/error.hpp"
@@ -96,5 +98,6 @@ int main(int argc, char** argv) {
   // A full disk or a closed pipe then makes the write fail, so that the program can clean up and report it.
   std::signal(SIGXFSZ, SIG_IGN);
   std::signal(SIGPIPE, SIG_IGN);
+  groma::cli::note_command_line({argv, static_cast<std::size_t>(argc)});
   return groma::cli::guarded_run(argc, argv);
 }

@@ -13,6 +13,8 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <string_view>
+#include <utility>
 #include <vector>
 
 #include <CLI/CLI.hpp>
@@ -22,6 +24,7 @@
 #include "host/cli/json.hpp"
 #include "host/cli/replay_stream.hpp"
 #include "host/cli/replay_summary.hpp"
+#include "host/cli/report_output.hpp"
 #include "host/cli/terminal.hpp"
 #include "host/cli/warnings.hpp"
 #include "host/diagnosis/finding.hpp"
@@ -38,6 +41,7 @@ struct ReplayOptions {
   FilterInput input;
   std::string model{filter::model_name(filter::Config{}.model)};
   std::optional<std::filesystem::path> stream;
+  ReportFolder report;
 };
 
 std::vector<std::string> model_names() {
@@ -72,6 +76,21 @@ Json sensors_json(const filter::Counters& counters) {
   return json;
 }
 
+// The truth is read when the estimate is complete.
+void write_report(const ReplayOptions& options, const FilterInput::Drive& drive,
+                  const filter::ReplayResult& result, std::vector<report::RangeRow> ranges) {
+  report::Page page(
+      fmt::format("Replay of {}", drive.dataset.name),
+      fmt::format("The model {} on a {} drive, causally.", options.model, drive.dataset.origin));
+  const std::vector<model::PoseSample> truth = truth_of(options.input.dataset());
+  report::add_drive(page, {.rows = result.rows,
+                           .truth = truth,
+                           .states = state_spans(result),
+                           .calibration = &drive.calibration,
+                           .ranges = std::move(ranges)});
+  write_page(*options.report, std::move(page), versions_of(drive.dataset, drive.calibration));
+}
+
 int run(const ReplayOptions& options) {
   if (options.stream) {
     return replay_stream({.capture = options.input.dataset(),
@@ -81,12 +100,15 @@ int run(const ReplayOptions& options) {
   }
   if (options.input.output().empty()) throw CLI::RequiredError("--output");
   io::expect_writable(options.input.output());
+  prepare_report(options.report);
   Warnings warnings;
   FilterInput::Drive drive = options.input.read("replay", FilterInput::StartIs::kFoundOtherwise, warnings);
   filter::ReplayOptions& replay = drive.options;
   replay.config.model = *filter::model_from_name(options.model);
   filter::set_unknown_delays(replay.config);
   replay.now_ns = now_ns;
+  std::vector<report::RangeRow> ranges;
+  if (options.report) record_ranges(replay, ranges);
   const auto begin = std::chrono::steady_clock::now();
   const filter::ReplayResult result = filter::replay(drive.run(), replay);
   const double wall_s = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
@@ -115,6 +137,7 @@ int run(const ReplayOptions& options) {
     words.push_back({filter::state_name(state), filter::reason_name(reason)});
   io::write_file(options.input.output(),
                  io::format_estimate(result.rows, result.spatial, drive.dataset.surface, words));
+  if (options.report) write_report(options, drive, result, std::move(ranges));
 
   const filter::Counters& counters = result.counters;
   FilterInput::warn_of_ranges(counters, warnings);
@@ -178,6 +201,7 @@ void add_replay(CLI::App& app, Action& action) {
       ->type_name("NAME");
   options->input.add_output(*command);
   command->get_option("--output")->required(false);
+  add_report_option(*command, options->report);
   CLI::Option* stream =
       command
           ->add_option(
@@ -187,7 +211,7 @@ void add_replay(CLI::App& app, Action& action) {
               "from the capture; all sections, unless --section chooses one")
           ->type_name("FILE");
   for (const char* other : {"--calibration", "--surveyed", "--from", "--to", "--tags", "--anchors", "--start",
-                            "--relocate", "--model", "--output"})
+                            "--relocate", "--model", "--output", "--report"})
     stream->excludes(command->get_option(other));
   command->callback([options, &action] { action = [options] { return run(*options); }; });
 }

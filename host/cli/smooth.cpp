@@ -3,12 +3,15 @@
 
 #include <memory>
 #include <string>
+#include <utility>
+#include <vector>
 
 #include <CLI/CLI.hpp>
 
 #include "host/cli/command.hpp"
 #include "host/cli/filter_input.hpp"
 #include "host/cli/json.hpp"
+#include "host/cli/report_output.hpp"
 #include "host/cli/terminal.hpp"
 #include "host/cli/warnings.hpp"
 #include "host/filter/config.hpp"
@@ -25,10 +28,26 @@ namespace {
 struct SmoothOptions {
   FilterInput input;
   std::string model{filter::model_name(filter::Model::kSchmidt)};
+  ReportFolder report;
 };
+
+void write_report(const SmoothOptions& options, const FilterInput::Drive& drive,
+                  const smoother::Result& result) {
+  report::Page page(fmt::format("Smoothed poses of {}", drive.dataset.name),
+                    fmt::format("The model {} on a {} drive; each pose also uses later samples.",
+                                options.model, drive.dataset.origin));
+  const std::vector<model::PoseSample> truth = truth_of(options.input.dataset());
+  report::add_drive(page, {.rows = result.rows,
+                           .truth = truth,
+                           .calibration = &drive.calibration,
+                           .ranges = residuals(drive.run(), result.rows, result.range_delay_s),
+                           .has_residuals = true});
+  write_page(*options.report, std::move(page), versions_of(drive.dataset, drive.calibration));
+}
 
 int run(const SmoothOptions& options) {
   io::expect_writable(options.input.output());
+  prepare_report(options.report);
   Warnings warnings;
   FilterInput::Drive drive = options.input.read("smooth", FilterInput::StartIs::kNeeded, warnings);
   drive.options.config.model = *filter::model_from_name(options.model);
@@ -45,6 +64,7 @@ int run(const SmoothOptions& options) {
   }
   options.input.expect_finite(result.rows);
   io::write_file(options.input.output(), io::format_estimate(result.rows));
+  if (options.report) write_report(options, drive, result);
   FilterInput::warn_of_samples(result.counters, warnings);
   // The sum of the LOS probabilities is below one.
   if (result.ranges_los < 1.0) FilterInput::warn_without_ranges(result.ranges_seen, warnings);
@@ -90,6 +110,7 @@ void add_smooth(CLI::App& app, Action& action) {
                              std::string(filter::model_name(filter::Model::kJoint))}))
       ->type_name("NAME");
   options->input.add_output(*command);
+  add_report_option(*command, options->report);
   command->callback([options, &action] { action = [options] { return run(*options); }; });
 }
 

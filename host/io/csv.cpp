@@ -181,6 +181,10 @@ std::optional<std::int64_t> CsvReader::optional_integer(std::size_t column) cons
   return integer(column);
 }
 
+std::string_view CsvReader::text(std::size_t column) const {
+  return has(column) ? fields_[column] : std::string_view{};
+}
+
 bool CsvReader::has(std::size_t column) const {
   return field_of_wanted_[column] != kAbsent && !trimmed(fields_[column]).empty();
 }

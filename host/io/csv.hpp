@@ -61,6 +61,9 @@ class CsvReader {
   [[nodiscard]] std::optional<double> optional_number(std::size_t column) const;
   [[nodiscard]] std::optional<std::int64_t> optional_integer(std::size_t column) const;
 
+  // The field as it is; empty if the column is absent.
+  [[nodiscard]] std::string_view text(std::size_t column) const;
+
   // False if the column is absent or its field is empty.
   [[nodiscard]] bool has(std::size_t column) const;
 

@@ -77,4 +77,15 @@ std::vector<model::PlanarEstimate> read_estimate(const std::filesystem::path& pa
   return rows;
 }
 
+std::vector<StateRow> read_states(const std::filesystem::path& path) {
+  const std::string text = read_file(path);
+  constexpr auto kOptional = CsvReader::Presence::kOptional;
+  CsvReader csv(path, text, {{"t_s"}, {"state", kOptional}, {"reason", kOptional}});
+  std::vector<StateRow> rows;
+  while (csv.next()) {
+    if (csv.has(1)) rows.push_back({csv.number(0), std::string(csv.text(1)), std::string(csv.text(2))});
+  }
+  return rows;
+}
+
 }  // namespace groma::io

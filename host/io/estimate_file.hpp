@@ -30,4 +30,13 @@ struct RowWords {
 // PermissionError.
 [[nodiscard]] std::vector<model::PlanarEstimate> read_estimate(const std::filesystem::path& path);
 
+// A row's columns `state` and `reason`.
+struct StateRow {
+  double t_s = 0.0;
+  std::string state;
+  std::string reason;
+};
+// By time; empty if the table lacks the column `state`. Throws as read_estimate().
+[[nodiscard]] std::vector<StateRow> read_states(const std::filesystem::path& path);
+
 }  // namespace groma::io

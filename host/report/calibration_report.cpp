@@ -14,6 +14,8 @@
 #include <vector>
 
 #include "host/io/calibration_file.hpp"
+#include "host/report/series.hpp"
+#include "host/report/site.hpp"
 
 namespace groma::report {
 
@@ -21,25 +23,8 @@ namespace {
 
 using Eigen::Vector2d;
 
-constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
-
-bool is_known(const model::AnchorCalibration& anchor) {
-  return anchor.covariance.rows() >= 3 && anchor.covariance.allFinite() && anchor.position_m.allFinite();
-}
-
 Cell number(double value, const char* format = "{:.3f}") {
   return {std::isfinite(value) ? fmt::format(fmt::runtime(format), value) : "–"};
-}
-
-Ink anchor_ink(const model::AnchorCalibration& anchor) {
-  switch (tone(anchor.verdict)) {
-    case Tone::kWarning:
-      return Ink::kWarning;
-    case Tone::kBad:
-      return Ink::kBad;
-    default:
-      return Ink::kAnchor;
-  }
 }
 
 void add_summary(Page& page, const calibration::Drive& drive, const calibration::Result& result) {
@@ -60,31 +45,6 @@ void add_summary(Page& page, const calibration::Drive& drive, const calibration:
        {fmt::format("{}", result.ranges_used), "ranges used"},
        {fmt::format("{:.1f} %", 100.0 * static_cast<double>(result.ranges_rejected) / all), "rejected"},
        {fmt::format("{:.0f} m", way_m), fmt::format("driven in {:.0f} s", duration_s)}});
-}
-
-// Median of each of `bins` equal intervals along x; a break where an interval is empty.
-std::vector<Vector2d> medians(const std::vector<Vector2d>& values, double from, double to, std::size_t bins) {
-  std::vector<std::vector<double>> binned(bins);
-  for (const Vector2d& value : values) {
-    const double share = (value.x() - from) / (to - from);
-    const auto bin = static_cast<std::size_t>(
-        std::clamp(share * static_cast<double>(bins), 0.0, static_cast<double>(bins) - 1.0));
-    binned[bin].push_back(value.y());
-  }
-  std::vector<Vector2d> points;
-  points.reserve(bins);
-  for (std::size_t i = 0; i < bins; ++i) {
-    std::vector<double>& bin = binned[i];
-    const double x = from + (static_cast<double>(i) + 0.5) * (to - from) / static_cast<double>(bins);
-    if (bin.empty()) {
-      points.emplace_back(x, kNone);
-      continue;
-    }
-    const auto middle = bin.begin() + static_cast<std::ptrdiff_t>(bin.size() / 2);
-    std::nth_element(bin.begin(), middle, bin.end());
-    points.emplace_back(x, *middle);
-  }
-  return points;
 }
 
 // Scales shared by all anchors' charts.
@@ -114,25 +74,28 @@ Chart::Axes small(std::string title, std::string x_label, std::string y_label) {
           .x_label = std::move(x_label),
           .y_label = std::move(y_label),
           .width_px = 345.0,
-          .height_px = 250.0,
-          .legend = false};
+          .height_px = 200.0};
+}
+
+Chart::Axes over_time(Chart::Axes axes) {
+  axes.over_time = true;
+  return axes;
 }
 
 // Where the anchor's ranges were LOS, and where NLOS.
 Chart los_map(const model::AnchorCalibration& anchor, std::span<const calibration::FittedRange> rows) {
   Chart::Axes axes = small("Line of sight", "x (m)", "y (m)");
   axes.same_scale = true;
-  axes.legend = true;
   Chart map(axes);
   std::vector<Vector2d> los;
   std::vector<Vector2d> nlos;
   for (const calibration::FittedRange& row : rows) (row.los < 0.5 ? nlos : los).push_back(row.antenna_m);
   map.add_points("LOS", Ink::kGood, std::move(los));
   map.add_points("NLOS or outlier", Ink::kBad, std::move(nlos));
-  if (is_known(anchor)) {
+  if (model::has_position(anchor)) {
     const Vector2d at = anchor.position_m.head<2>();
-    map.add_ellipses("", anchor_ink(anchor), {{at, anchor.covariance.topLeftCorner<2, 2>()}});
-    map.add_marks("", anchor_ink(anchor), {{at, fmt::format("{}", anchor.id)}});
+    map.add_ellipses("", anchor_ink(anchor.verdict), {{at, anchor.covariance.topLeftCorner<2, 2>()}});
+    map.add_marks("", anchor_ink(anchor.verdict), {{at, fmt::format("{}", anchor.id)}});
   }
   return map;
 }
@@ -147,7 +110,7 @@ Chart residual_chart(Chart::Axes axes, std::span<const calibration::FittedRange>
   std::map<model::NodeId, std::vector<Vector2d>> pairs;
   for (const calibration::FittedRange& row : rows) pairs[row.tag_id].emplace_back(x(row), row.residual_m);
   for (const auto& [tag, values] : pairs)
-    chart.add_line("", scales.ink(tag), medians(values, from, to, kBins));
+    chart.add_line(fmt::format("tag {}", tag), scales.ink(tag), medians(values, from, to, kBins));
   for (auto& [tag, values] : pairs) chart.add_points("", scales.ink(tag), std::move(values));
   return chart;
 }
@@ -187,17 +150,6 @@ double los_share(std::span<const calibration::FittedRange> rows) {
   return rows.empty() ? kNone : sum / static_cast<double>(rows.size());
 }
 
-std::string hint_of(const model::AnchorCalibration& anchor) {
-  const Eigen::Vector3d sigma_m = anchor.covariance.topLeftCorner<3, 3>().diagonal().cwiseSqrt();
-  return fmt::format("anchor {}: {}\nx {:.3f} ± {:.3f} m\ny {:.3f} ± {:.3f} m\nz {:.3f} ± {:.3f} m",
-                     anchor.id, io::word(anchor.verdict), anchor.position_m.x(), sigma_m.x(),
-                     anchor.position_m.y(), sigma_m.y(), anchor.position_m.z(), sigma_m.z());
-}
-
-std::string part_of(const model::AnchorCalibration& anchor) {
-  return fmt::format("anchor-{}", anchor.id);
-}
-
 void add_each_anchor(Page& page, const calibration::Drive& drive, const calibration::Result& result) {
   const Scales scales = scales_of(drive);
   page.add_heading("Each anchor");
@@ -211,7 +163,7 @@ void add_each_anchor(Page& page, const calibration::Drive& drive, const calibrat
     const model::AnchorCalibration& anchor = anchors[i];
     const std::vector<calibration::FittedRange>& rows = result.fitted[i];
     const bool ok = anchor.verdict == model::AnchorVerdict::kOk;
-    page.begin_part(part_of(anchor), fmt::format("Anchor {}", anchor.id),
+    page.begin_part(anchor_part(anchor.id), fmt::format("Anchor {}", anchor.id),
                     std::string(io::word(anchor.verdict)), tone(anchor.verdict), !ok);
     if (!anchor.advice.empty()) page.add_text(anchor.advice);
     if (!rows.empty()) {
@@ -220,7 +172,7 @@ void add_each_anchor(Page& page, const calibration::Drive& drive, const calibrat
       for (const calibration::FittedRange& row : rows) farthest_m = std::max(farthest_m, row.distance_m);
       page.add_charts(
           {los_map(anchor, rows),
-           residual_chart(small("Residual over time", "time (s)", "residual (m)"), rows, scales,
+           residual_chart(over_time(small("Residual over time", "time (s)", "residual (m)")), rows, scales,
                           scales.from_s, scales.to_s,
                           [](const calibration::FittedRange& row) { return row.t_s; }),
            residual_chart(small("Residual over distance", "distance (m)", "residual (m)"), rows, scales, 0.0,
@@ -248,7 +200,7 @@ void add_path(Chart& map, const calibration::Drive& drive, const calibration::Re
   struct Part {
     std::string name;
     Ink ink;
-    std::vector<Vector2d> line{};
+    std::vector<Eigen::Vector3d> line{};
   };
   std::array<Part, 3> parts{Part{"path, LOS to 5 anchors or more", Ink::kGood}, Part{"3 or 4", Ink::kSeries2},
                             Part{"fewer", Ink::kOther}};
@@ -258,18 +210,18 @@ void add_path(Chart& map, const calibration::Drive& drive, const calibration::Re
     const auto found = seen.find(std::lround(std::floor(pose.t_s)));
     const std::size_t count = found == seen.end() ? 0 : found->second.size();
     const std::size_t part = count >= 5 ? 0 : count >= 3 ? 1 : 2;
-    std::vector<Vector2d>& line = parts[part].line;
+    std::vector<Eigen::Vector3d>& line = parts[part].line;
     if (last && pose.t_s - last->t_s > 1.0) last.reset();
     if (!last || part != last_part) {
-      line.emplace_back(kNone, kNone);
-      if (last) line.emplace_back(last->x_m, last->y_m);
+      line.emplace_back(kNone, kNone, pose.t_s);
+      if (last) line.emplace_back(last->x_m, last->y_m, last->t_s);
     }
-    line.emplace_back(pose.x_m, pose.y_m);
+    line.emplace_back(pose.x_m, pose.y_m, pose.t_s);
     last = pose;
     last_part = part;
   }
   for (auto& [name, ink, line] : parts) {
-    if (!line.empty()) map.add_line(name, ink, std::move(line));
+    if (!line.empty()) map.add_path(name, ink, std::move(line));
   }
 }
 
@@ -299,38 +251,21 @@ void add_advice(Page& page, const model::Calibration& calibration) {
   }
 }
 
-void add_map(Page& page, const calibration::Drive& drive, const calibration::Result& result) {
+void add_map(Page& page, const calibration::Drive& drive, const calibration::Result& result,
+             const Walls& walls) {
   Chart map({.x_label = "x (m)", .y_label = "y (m)", .same_scale = true, .height_px = 720.0});
+  add_walls(map, walls);
   add_path(map, drive, result);
-  struct Group {
-    std::string name;
-    std::vector<Mark> marks;
-    std::vector<Ellipse> ellipses;
-  };
-  std::map<Ink, Group> groups{{Ink::kAnchor, {"anchor", {}, {}}},
-                              {Ink::kWarning, {"anchor with a warning", {}, {}}},
-                              {Ink::kBad, {"anchor not usable", {}, {}}}};
-  for (const model::AnchorCalibration& anchor : result.calibration.anchors) {
-    if (!is_known(anchor)) continue;
-    Group& group = groups[anchor_ink(anchor)];
-    const Vector2d at = anchor.position_m.head<2>();
-    group.marks.push_back({at, fmt::format("{}", anchor.id), hint_of(anchor), part_of(anchor)});
-    group.ellipses.push_back({at, anchor.covariance.topLeftCorner<2, 2>()});
-  }
-  for (auto& [ink, group] : groups) {
-    if (group.marks.empty()) continue;
-    map.add_ellipses("95 % ellipse", ink, std::move(group.ellipses));
-    map.add_marks(group.name, ink, std::move(group.marks));
-  }
+  add_anchors(map, result.calibration, true);
   page.add_chart(map,
                  "The drive and the estimated anchor positions from above. Click an anchor for its details.");
 }
 
-void add_anchors(Page& page, const calibration::Result& result) {
+void add_anchor_table(Page& page, const calibration::Result& result) {
   std::vector<std::vector<Cell>> rows;
   for (std::size_t n = 0; n < result.calibration.anchors.size(); ++n) {
     const model::AnchorCalibration& anchor = result.calibration.anchors[n];
-    const bool known = is_known(anchor);
+    const bool known = model::has_position(anchor);
     const auto coordinate = [&](int i) { return number(known ? anchor.position_m(i) : kNone); };
     const auto sigma = [&](double variance) { return number(known ? std::sqrt(variance) : kNone); };
     const Eigen::Matrix3d covariance =
@@ -419,11 +354,12 @@ Tone tone(model::Verdict verdict) {
   return Tone::kPlain;
 }
 
-void add_calibration(Page& page, const calibration::Drive& drive, const calibration::Result& result) {
+void add_calibration(Page& page, const calibration::Drive& drive, const calibration::Result& result,
+                     const Walls& walls) {
   add_summary(page, drive, result);
   add_advice(page, result.calibration);
-  add_map(page, drive, result);
-  add_anchors(page, result);
+  add_map(page, drive, result, walls);
+  add_anchor_table(page, result);
   add_biases(page, result.calibration);
   add_each_anchor(page, drive, result);
 }

@@ -1,8 +1,9 @@
 // A report as a single HTML file that opens offline: it loads no other resource and follows the reader's
-// light or dark theme.
+// light or dark theme. Its script, report.js, adds hover and zoom to charts.
 #pragma once
 
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "host/report/chart.hpp"
@@ -24,9 +25,19 @@ struct Cell {
   bool words = false;  // text: left-aligned and wrapped, unlike numbers
 };
 
+// Where a report comes from, for its foot.
+struct Provenance {
+  std::string command;  // as it was given
+  std::string date;
+  std::vector<std::pair<std::string, std::string>>
+      versions{};  // of further files: name and version or digest
+};
+
 class Page {
  public:
   Page(std::string title, std::string subtitle) : title_(std::move(title)), subtitle_(std::move(subtitle)) {}
+
+  void set_provenance(Provenance provenance) { provenance_ = std::move(provenance); }
 
   // Elements appear in the order of the calls; text is escaped.
   void add_facts(const std::vector<Fact>& facts);
@@ -49,6 +60,8 @@ class Page {
  private:
   std::string title_;
   std::string subtitle_;
+  Provenance provenance_;
+  bool has_charts_ = false;
   std::string body_;
 };
 

@@ -12,6 +12,7 @@
 #include <set>
 #include <sstream>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include <Eigen/Cholesky>
@@ -631,13 +632,46 @@ TEST_F(CliTest, TheSameInputGivesTheSameFiles) {
   EXPECT_EQ(read_text(estimate_), estimate);
 }
 
-TEST_F(CliTest, TheReportIsOneSelfContainedPage) {
-  const ChildResult result = calibrate({"--report", folder_ / "deep/report"});
-  ASSERT_THAT(result.exit_code, testing::AnyOf(0, 3)) << result.err;
-  const std::string html = read_text(folder_ / "deep/report/report.html");
-  EXPECT_THAT(html, AllOf(HasSubstr("<!doctype html>"), HasSubstr("95 % ellipse"), HasSubstr("</html>")));
-  EXPECT_THAT(html, AllOf(Not(HasSubstr("http")), Not(HasSubstr("src=")), Not(HasSubstr("nan")),
-                          Not(HasSubstr("inf "))));
+// Without the samples, whose Base64 may contain any word.
+std::string without_samples(std::string html) {
+  const std::string mark = "data-p=\"";
+  for (std::size_t at = 0; (at = html.find(mark, at)) != std::string::npos;)
+    html.erase(at, html.find('"', at + mark.size()) + 1 - at);
+  return html;
+}
+
+TEST_F(CliTest, EachReportIsOneSelfContainedPage) {
+  const std::string surveyed = folder_ / "known.yaml";
+  static_cast<void>(calibrate());
+  const std::string truth = data_ / "groundtruth.csv";
+  const std::vector<std::pair<std::vector<std::string>, std::string>> commands{
+      {{"calibrate", data_, "-o", surveyed, "--known-anchors"}, "its 95 % ellipse"},
+      {{"replay", data_, "-o", estimate_, "--calibration", calibration_}, "Corrections by anchor"},
+      {{"evaluate", estimate_, truth}, "DEGRADED|TRACKING"},
+      {{"smooth", data_, "-o", folder_ / "smooth.csv", "--calibration", calibration_, "--to", "10"},
+       "Residuals of each pair"},
+      {{"explain", data_, "--calibration", calibration_, "--at", "30"}, "The pose around that moment"},
+      {{"diff", calibration_, surveyed}, "Displacements"}};
+  for (const auto& [command, text] : commands) {
+    std::vector<std::string> arguments = command;
+    arguments.insert(arguments.end(), {"--report", folder_ / "deep/report"});
+    const ChildResult result = groma(arguments);
+    ASSERT_THAT(result.exit_code, testing::AnyOf(0, 3)) << result.err;
+    const std::string html = without_samples(read_text(folder_ / "deep/report/report.html"));
+    EXPECT_THAT(html, AllOf(HasSubstr("<!doctype html>"), testing::ContainsRegex(text), HasSubstr("</html>"),
+                            HasSubstr("<code>groma " + command.front())));
+    EXPECT_THAT(html, AllOf(Not(HasSubstr("http")), Not(HasSubstr("src=")), Not(HasSubstr("nan")),
+                            Not(HasSubstr("inf "))))
+        << command.front();
+  }
+}
+
+TEST_F(CliTest, AReportDoesNotChangeTheEstimate) {
+  static_cast<void>(calibrate());
+  static_cast<void>(replay_calibrated());
+  const std::string estimate = read_text(estimate_);
+  ASSERT_EQ(replay_calibrated({"--report", folder_ / "report"}).exit_code, 0);
+  EXPECT_EQ(read_text(estimate_), estimate);
 }
 
 TEST_F(CliTest, WrongRowsAreDroppedCountedAndEndWith3) {
