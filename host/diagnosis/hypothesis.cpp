@@ -102,7 +102,7 @@ Hypothesis clock_offset(double start_s, std::string_view reference) {
     return Finding{
         .cause = "clock-offset",
         .evidence = fmt::format("the ranges' times are {} against the {}'", late(offset_s), reference),
-        .remedy = fmt::format("subtract {:.3f} s from the times of the ranges, or stamp both with one "
+        .remedy = fmt::format("subtract {:.3f} s from the times of the ranges, or timestamp both with one "
                               "clock; --fix does so in memory",
                               offset_s),
         .value = {offset_s},
@@ -134,7 +134,7 @@ Hypothesis clock_drift(double start_s, double begin_s, double end_s, std::string
         .evidence = fmt::format("the ranges' clock and the {}' separate by {:.2f} s over the drive "
                                 "(ranges {} in the middle)",
                                 reference, std::abs(spread_s), late(fit.at(0))),
-        .remedy = "stamp ranges and poses with one clock; --fix corrects the times in memory",
+        .remedy = "timestamp ranges and poses with one clock; --fix corrects the times in memory",
         .value = {drift},
         .sigma = {sigma_of(fit, 1, kDriftSystematic_s / (end_s - begin_s))},
         .clock = mistake(fit.at).clock};

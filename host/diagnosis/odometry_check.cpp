@@ -368,7 +368,7 @@ class Naming {
       add("clock-drift",
           fmt::format("the odometry's clock and the poses' separate by {:.2f} s over the drive",
                       std::abs(spread_s)),
-          "stamp odometry and poses with one clock", -at(kDrift),
+          "timestamp odometry and poses with one clock", -at(kDrift),
           sigma(kDrift, kDriftSystematic_s / comparison_.duration_s()));
     } else if (differs(kClock, 0.0, kLeastClock_s)) {
       add("clock-offset",

@@ -9,7 +9,7 @@ struct ClockError {
   double drift = 0.0;  // s/s
   double reference_s = 0.0;
 
-  // The true time of a sample that the clock stamped t_s.
+  // The true time of a sample with the timestamp t_s.
   [[nodiscard]] double corrected_s(double t_s) const noexcept {
     return t_s - offset_s - drift * (t_s - reference_s);
   }
