@@ -20,6 +20,8 @@ class AnchorScene final : public Scene {
 
   [[nodiscard]] std::span<const RangeRow> rows() const override { return rows_; }
   [[nodiscard]] std::size_t block_count() const override { return anchors_.size(); }
+  // Of each block.
+  [[nodiscard]] const std::vector<model::NodeId>& anchors() const noexcept { return anchors_; }
   [[nodiscard]] Eigen::Vector3d antenna_m(const RangeRow& row, const Mistake& mistake) const override;
   [[nodiscard]] double predict_m(const RangeRow& row, const Eigen::Vector3d& antenna_m,
                                  const Eigen::VectorXd& block, RangeDerivatives& out) const override;

@@ -40,14 +40,21 @@ void join_clocks(std::vector<Finding>& of_odometry, const std::vector<Finding>& 
 }  // namespace
 
 Data data_of(const io::Dataset& dataset) {
-  return {.poses = dataset.pose_prior,
-          .odometry = dataset.odometry,
-          .ranges = dataset.ranges,
-          .dropped_ranges = dataset.dropped_ranges,
-          .tags = dataset.tags,
-          .anchors = dataset.surveyed_anchors,
-          .priors = dataset.range_priors,
-          .surface = dataset.surface};
+  Data out{.poses = dataset.pose_prior,
+           .odometry = dataset.odometry,
+           .ranges = dataset.ranges,
+           .dropped_ranges = dataset.dropped_ranges,
+           .tags = dataset.tags,
+           .anchors = dataset.surveyed_anchors,
+           .priors = dataset.range_priors,
+           .surface = dataset.surface};
+  // Larger values are no speeds in any unit.
+  constexpr double kLargest = 1e6;
+  std::erase_if(out.odometry, [](const model::OdometrySample& sample) {
+    return !(std::abs(sample.vx_mps) < kLargest && std::abs(sample.vy_mps) < kLargest &&
+             std::abs(sample.omega_radps) < kLargest);
+  });
+  return out;
 }
 
 std::vector<Finding> diagnose(Data data) {
@@ -62,6 +69,7 @@ std::vector<Finding> diagnose(Data data) {
     join_clocks(odometry.findings, ranges);
     append(std::move(odometry.findings), findings);
     append(std::move(ranges), findings);
+    append(compare_with_survey(data), findings);
   }
   append(find_wrong_height(data), findings);
   append(find_unknown_nodes(data), findings);

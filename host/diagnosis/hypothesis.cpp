@@ -29,10 +29,6 @@ constexpr double kGainPerParameter = 0.003;
 // ... and in this share of the drive's slices.
 constexpr double kMinSlices = 0.65;
 
-// A fit whose residuals are larger than this many configured sigmas explains nothing: another mistake, or one
-// that is no hypothesis, is left. By hand: sigmas may be wrong by a factor of three.
-constexpr double kMostSigmas = 8.0;
-
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
 
 Parameters with(std::initializer_list<double> start, std::initializer_list<double> sigma,
@@ -148,6 +144,7 @@ Hypothesis clock_drift(double start_s, double begin_s, double end_s, std::string
 
 Hypothesis swapped_tags(std::size_t a, std::size_t b, const Data& data) {
   Hypothesis out;
+  out.penalty = kDiscretePenalty;
   out.change = [a, b](Data& changed) { std::swap(changed.tags[a].lever_arm_m, changed.tags[b].lever_arm_m); };
   out.name = [ids = std::vector{data.tags[a].id, data.tags[b].id}](const RangeFit&) {
     return Finding{
@@ -163,7 +160,8 @@ Hypothesis swapped_tags(std::size_t a, std::size_t b, const Data& data) {
 
 Hypothesis mirrored_tags() {
   Hypothesis out;
-  out.penalty = kGainPerParameter;  // with two tags it may be the same as to swap them, which is more usual
+  // A little more than to swap: with two tags it may be the same, and to swap is more usual.
+  out.penalty = kDiscretePenalty + kGainPerParameter;
   out.change = [](Data& changed) {
     for (model::Tag& tag : changed.tags) tag.lever_arm_m.y() = -tag.lever_arm_m.y();
   };
@@ -232,6 +230,7 @@ Hypothesis heading_offset() {
 
 Hypothesis heading_sign() {
   Hypothesis out;
+  out.penalty = kDiscretePenalty;
   out.change = [](Data& data) {
     for (model::PoseSample& pose : data.poses) pose.yaw_rad = -pose.yaw_rad;
   };

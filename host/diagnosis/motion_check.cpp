@@ -44,6 +44,7 @@ Hypothesis scalar(double neutral, double least, double systematic, Make make_mis
 Hypothesis changed(std::function<void(Data&)> change, std::string_view cause, std::string evidence,
                    std::string remedy) {
   Hypothesis out;
+  out.penalty = kDiscretePenalty;
   out.change = std::move(change);
   out.name = [=](const RangeFit&) {
     return Finding{.cause = cause, .evidence = evidence, .remedy = remedy, .is_of_odometry_alone = true};

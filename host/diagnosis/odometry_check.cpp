@@ -472,8 +472,10 @@ OdometryComparison compare_with_odometry(Data& data) {
     const Comparison with(data, tried);
     if (with.size() < kMinWindows) return {};
     const Estimate found = best_estimate(with);
-    // By hand: a flip has to raise the likelihood of a window by 5 %.
-    if (!(found.cost < best.cost - (comparison ? 0.05 : 0.0))) continue;
+    // By hand: a wrong sign costs far more than this of the log likelihood of a window, or is of no
+    // consequence.
+    constexpr double kFlipGain = 0.3;
+    if (!(found.cost < best.cost - (comparison ? kFlipGain : 0.0))) continue;
     comparison.emplace(with);
     best = found;
     flips = tried;

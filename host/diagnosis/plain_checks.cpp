@@ -226,8 +226,9 @@ std::vector<Finding> find_wrong_times(Data& data) {
           {.cause = "time-overlap",
            .evidence = fmt::format("{} are from {:.3f} to {:.3f} s, {} from {:.3f} to {:.3f} s", all[i].name,
                                    all[i].begin_s, all[i].end_s, all[k].name, all[k].begin_s, all[k].end_s),
-           .remedy = "timestamp both with one clock, or subtract the difference of their epochs; check that they "
-                     "are of one drive"});
+           .remedy =
+               "timestamp both with one clock, or subtract the difference of their epochs; check that they "
+               "are of one drive"});
       return findings;
     }
   }

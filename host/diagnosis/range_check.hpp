@@ -15,4 +15,9 @@ namespace groma::diagnosis {
 // swapped-tags, lateral-sign, lever-arm, heading-offset and heading-sign.
 [[nodiscard]] std::vector<Finding> compare_with_poses(Data& data, bool heading_is_known);
 
+// Compares where the ranges put the anchors with where anchors.csv has them, horizontally. Names
+// renumbered-anchors if most that differ are where another id should be, and map-mismatch if most differ
+// otherwise.
+[[nodiscard]] std::vector<Finding> compare_with_survey(const Data& data);
+
 }  // namespace groma::diagnosis

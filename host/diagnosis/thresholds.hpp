@@ -9,6 +9,9 @@ namespace groma::diagnosis {
 inline constexpr double kMaxPoseGap_s = 0.3;
 // By hand: a parameter is named only if it is this many of its sigmas from neutral.
 inline constexpr double kSignificance = 5.0;
+// A fit whose residuals are larger than this many configured sigmas explains nothing: another mistake, or one
+// that is no hypothesis, is left. By hand: sigmas may be wrong by a factor of three.
+inline constexpr double kMostSigmas = 8.0;
 // Slices of the drive whose scores give the covariance of an estimate: errors within a slice may be
 // correlated in time.
 inline constexpr int kSlices = 20;

@@ -19,6 +19,10 @@ constexpr double kWindowLength_s = 10.0;
 // A window with fewer ranges does not determine its place.
 constexpr std::size_t kMinWindowRows = 12;
 
+// Pairs whose bias is less certain, such as those of surveyed anchors, would be explained by a mistake. By
+// hand: a third of the lever arm that is named.
+constexpr double kMostBetaSigma_m = 0.1;
+
 }  // namespace
 
 WindowScene::WindowScene(const Data& data, const model::Calibration& calibration, std::size_t most_rows)
@@ -43,7 +47,7 @@ WindowScene::WindowScene(const Data& data, const model::Calibration& calibration
     if (anchor == nullptr || !model::has_position(*anchor) || !tags.contains(range.tag_id)) continue;
     const auto bias = std::find_if(anchor->pairs.begin(), anchor->pairs.end(),
                                    [&](const model::PairBias& pair) { return pair.tag_id == range.tag_id; });
-    if (bias == anchor->pairs.end()) continue;
+    if (bias == anchor->pairs.end() || !(bias->beta_sigma_m < kMostBetaSigma_m)) continue;
     const auto [pair, is_new] = pairs.try_emplace({range.anchor_id, range.tag_id}, pairs_.size());
     if (is_new) pairs_.push_back({anchor->position_m, model::values_of(*bias)});
     const double since_s = range.t_s - begin_s;

@@ -18,7 +18,7 @@ namespace groma::diagnosis {
 // the scales of the mistake. `data` and `calibration` must outlive the scene.
 class WindowScene final : public Scene {
  public:
-  // Ranges to calibrated anchors, evenly thinned to about most_rows.
+  // Ranges of pairs with a calibrated bias, evenly thinned to about most_rows.
   WindowScene(const Data& data, const model::Calibration& calibration, std::size_t most_rows);
 
   [[nodiscard]] std::span<const RangeRow> rows() const override { return rows_; }

@@ -85,7 +85,8 @@ INSTANTIATE_TEST_SUITE_P(Mistakes, DiagnoseTest,
                                          test::yaw_rate_scale(1.1), test::odometry_scale(0.9),
                                          test::swapped_tags(), test::lever_arm({0.5, 0.0, 0.0}),
                                          test::surface_height(0.5), test::odometry_of_another_drive(),
-                                         test::unknown_tag(), test::unknown_anchor()),
+                                         test::unknown_tag(), test::unknown_anchor(),
+                                         test::renumbered_anchors(), test::another_site()),
                          [](const auto& made) {
                            std::string name = made.param.cause + "_" + made.param.name;
                            std::erase_if(name, [](char c) { return c == '\''; });
@@ -127,7 +128,10 @@ TEST(Diagnose, WithoutOdometryTheRangesShowTheHeading) {
 model::Calibration surveyed(const Data& data) {
   model::Calibration calibration = model::surveyed_calibration(data.anchors, data.tags, data.priors, 0.02);
   for (model::AnchorCalibration& anchor : calibration.anchors) {
-    for (model::PairBias& pair : anchor.pairs) pair.beta_m = test::small_run_beta_m(pair.tag_id, anchor.id);
+    for (model::PairBias& pair : anchor.pairs) {
+      pair.beta_m = test::small_run_beta_m(pair.tag_id, anchor.id);
+      pair.beta_sigma_m = 0.02;
+    }
   }
   return calibration;
 }
@@ -158,6 +162,14 @@ INSTANTIATE_TEST_SUITE_P(Mistakes, DiagnoseWithCalibrationTest,
 TEST(Diagnose, WithACalibrationNamesNothingInAGoodDrive) {
   Data data = small_drive(8);
   const model::Calibration calibration = surveyed(data);
+  EXPECT_THAT(causes_of(diagnose(std::move(data), calibration)), testing::IsEmpty());
+}
+
+// Biases at their priors are not known; a mistake would explain them.
+TEST(Diagnose, WithSurveyedAnchorsAloneNamesNothing) {
+  Data data = small_drive(9);
+  const model::Calibration calibration =
+      model::surveyed_calibration(data.anchors, data.tags, data.priors, 0.02);
   EXPECT_THAT(causes_of(diagnose(std::move(data), calibration)), testing::IsEmpty());
 }
 

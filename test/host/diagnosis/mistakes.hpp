@@ -166,6 +166,17 @@ inline MistakeMade odometry_of_another_drive() {
             }
           }};
 }
+inline MistakeMade renumbered_anchors() {
+  return {"two anchors' ids exchanged", "renumbered-anchors",
+          [](diagnosis::Data& data) { std::swap(data.anchors[0].position_m, data.anchors[2].position_m); }};
+}
+inline MistakeMade another_site() {
+  return {"anchors of another site", "map-mismatch", [](diagnosis::Data& data) {
+            for (model::Anchor& anchor : data.anchors) {
+              anchor.position_m.head<2>() = -anchor.position_m.head<2>() + Eigen::Vector2d(30.0, 11.0);
+            }
+          }};
+}
 // As the reader does with what the configuration lacks.
 template <class IsUnknown>
 void drop_ranges(diagnosis::Data& data, const IsUnknown& is_unknown) {

@@ -74,6 +74,8 @@ std::vector<test::MistakeMade> mistakes() {
   out.push_back(test::odometry_of_another_drive());
   out.push_back(test::unknown_tag());
   out.push_back(test::unknown_anchor());
+  out.push_back(test::renumbered_anchors());
+  out.push_back(test::another_site());
   return out;
 }
 
