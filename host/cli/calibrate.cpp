@@ -18,12 +18,14 @@
 #include <CLI/CLI.hpp>
 
 #include "host/calibration/comparison.hpp"
+#include "host/cli/clock_fix.hpp"
 #include "host/cli/command.hpp"
 #include "host/cli/json.hpp"
 #include "host/cli/report_output.hpp"
 #include "host/cli/selection.hpp"
 #include "host/cli/terminal.hpp"
 #include "host/cli/warnings.hpp"
+#include "host/diagnosis/diagnose.hpp"
 #include "host/io/calibration_file.hpp"
 #include "host/io/dataset.hpp"
 #include "host/io/error.hpp"
@@ -43,6 +45,7 @@ struct CalibrateOptions {
   std::optional<std::filesystem::path> survey;
   Selection selection;
   bool known_anchors = false;
+  bool fix = false;
   std::optional<std::filesystem::path> update;
   ReportFolder report;
   std::filesystem::path output;
@@ -124,7 +127,7 @@ int run(const CalibrateOptions& options) {
   prepare_report(options.report);
   io::ReadOptions read;
   read.surveyed_anchors = options.known_anchors;
-  read.odometry = false;
+  read.odometry = !std::filesystem::is_directory(options.dataset);  // a folder's is for the diagnosis alone
   read.ground_truth = false;
   read.pose_file = options.poses;
   read.log_section = options.selection.section();
@@ -134,12 +137,17 @@ int run(const CalibrateOptions& options) {
   Warnings warnings;
   std::vector<model::AnchorRange> survey;
   if (options.survey) survey = io::read_survey(*options.survey, dataset.dropped);
+  if (!read.odometry) dataset.odometry = io::read_odometry(options.dataset, dataset.dropped);
   warnings.add(dataset);
   if (options.known_anchors && dataset.surveyed_anchors.empty()) {
     throw io::DataError({options.dataset / "anchors.csv"}, "there are no surveyed anchors",
                         "add them, or calibrate without --known-anchors");
   }
   options.selection.apply(dataset);
+  const std::vector<diagnosis::Finding> findings = diagnosis::diagnose(diagnosis::data_of(dataset));
+  for (const diagnosis::Finding& finding : findings) warnings.add(finding);
+  const std::optional<model::ClockError> range_clock =
+      options.fix ? fix_clock(findings, dataset.ranges, warnings) : std::nullopt;
 
   calibration::Drive drive;
   drive.ranges = dataset.ranges;
@@ -152,6 +160,11 @@ int run(const CalibrateOptions& options) {
   calibration::Options how;
   if (earlier) how.earlier = &*earlier;
   calibration::Result result = calibration::calibrate(drive, how);
+  result.calibration.range_clock = range_clock;
+  const auto unfixed = findings.begin() + (range_clock ? 1 : 0);
+  const std::vector<diagnosis::Finding> left(unfixed, findings.end());
+  const diagnosis::Finding* contradiction = diagnosis::find_contradiction(left);
+  if (contradiction != nullptr) diagnosis::mark_contradicted(*contradiction, result.calibration);
   std::optional<calibration::Update> update;
   if (earlier) {
     update = calibration::update(*earlier, result.calibration, dataset.range_priors);
@@ -165,6 +178,7 @@ int run(const CalibrateOptions& options) {
 
   if (options.json) {
     Json json{{"verdict", io::word(result.calibration.verdict)}, {"wall_s", wall_s}};
+    json["diagnosis"] = diagnosis::to_json(findings);
     json.update(cli::to_json(result));
     if (update) json["update"] = update_json(*update);
     json["dropped"] = cli::to_json(dataset.dropped);
@@ -222,6 +236,7 @@ void add_calibrate(CLI::App& app, Action& action) {
   command->add_flag(
       "--known-anchors", options->known_anchors,
       "Take the positions of anchors.csv as surveyed (sigma 0.02 m) and estimate only the biases");
+  add_clock_fix(*command, options->fix);
   command
       ->add_option(
           "--update", options->update,

@@ -13,6 +13,7 @@ using Action = std::function<int()>;
 
 void add_bugreport(CLI::App& app, Action& action);
 void add_calibrate(CLI::App& app, Action& action);
+void add_check(CLI::App& app, Action& action);
 void add_configure(CLI::App& app, Action& action);
 void add_convert(CLI::App& app, Action& action);
 void add_demo(CLI::App& app, Action& action);

@@ -12,6 +12,8 @@
 
 #include <CLI/CLI.hpp>
 
+#include "host/cli/clock_fix.hpp"
+#include "host/diagnosis/diagnose.hpp"
 #include "host/io/calibration_file.hpp"
 #include "host/io/csv.hpp"
 #include "host/io/error.hpp"
@@ -128,6 +130,7 @@ FilterInput::Drive FilterInput::read(const char* command, StartIs start, Warning
   }
   Drive drive{.dataset = read_whole(start, warnings), .calibration = {}, .options = {}};
   drive.calibration = load_calibration(drive.dataset, warnings);
+  if (drive.calibration.range_clock) correct_clock(*drive.calibration.range_clock, drive.dataset.ranges);
   selection_.apply(drive.dataset, drive.calibration.anchors);
   drive.options.config.odometry = drive.dataset.odometry_noise;
   drive.options.config.range_sigma_m = drive.dataset.range_priors.sigma_m;
@@ -174,6 +177,13 @@ void FilterInput::expect_finite(std::span<const model::PlanarEstimate> rows,
         fmt::format("the estimate is not finite from t_s = {} on; nothing was written", row.t_s),
         "check the calibration, the surface and the samples there, or end before it with --to");
   }
+}
+
+std::vector<diagnosis::Finding> FilterInput::diagnose(const Drive& drive, Warnings& warnings) {
+  std::vector<diagnosis::Finding> findings =
+      diagnosis::diagnose(diagnosis::data_of(drive.dataset), drive.calibration);
+  for (const diagnosis::Finding& finding : findings) warnings.add(finding);
+  return findings;
 }
 
 std::optional<diagnosis::Finding> FilterInput::warn_of_mismatch(const filter::ReplayResult& result,

@@ -35,6 +35,7 @@ int run(int argc, char** argv) {
   Action action;
   add_bugreport(app, action);
   add_calibrate(app, action);
+  add_check(app, action);
   add_configure(app, action);
   add_convert(app, action);
   add_demo(app, action);

@@ -112,8 +112,11 @@ int run(const ReplayOptions& options) {
   const auto begin = std::chrono::steady_clock::now();
   const filter::ReplayResult result = filter::replay(drive.run(), replay);
   const double wall_s = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
-  std::vector<diagnosis::Finding> findings;
-  if (const auto mismatch = FilterInput::warn_of_mismatch(result, warnings)) findings.push_back(*mismatch);
+  std::vector<diagnosis::Finding> findings = FilterInput::diagnose(drive, warnings);
+  // A calibration that does not match is what is left if no mistake explains the ranges.
+  if (findings.empty()) {
+    if (const auto mismatch = FilterInput::warn_of_mismatch(result, warnings)) findings.push_back(*mismatch);
+  }
   if (result.rows.empty()) {
     if (replay.knows_start) {
       throw io::DataError({options.input.dataset() / "odometry.csv"},

@@ -8,12 +8,14 @@
 
 #include <CLI/CLI.hpp>
 
+#include "host/cli/clock_fix.hpp"
 #include "host/cli/command.hpp"
 #include "host/cli/filter_input.hpp"
 #include "host/cli/json.hpp"
 #include "host/cli/report_output.hpp"
 #include "host/cli/terminal.hpp"
 #include "host/cli/warnings.hpp"
+#include "host/diagnosis/finding.hpp"
 #include "host/filter/config.hpp"
 #include "host/io/error.hpp"
 #include "host/io/estimate_file.hpp"
@@ -29,6 +31,7 @@ struct SmoothOptions {
   FilterInput input;
   std::string model{filter::model_name(filter::Model::kSchmidt)};
   ReportFolder report;
+  bool fix = false;
 };
 
 void write_report(const SmoothOptions& options, const FilterInput::Drive& drive,
@@ -52,6 +55,8 @@ int run(const SmoothOptions& options) {
   FilterInput::Drive drive = options.input.read("smooth", FilterInput::StartIs::kNeeded, warnings);
   drive.options.config.model = *filter::model_from_name(options.model);
   filter::set_unknown_delays(drive.options.config);
+  const std::vector<diagnosis::Finding> findings = FilterInput::diagnose(drive, warnings);
+  if (options.fix) fix_clock(findings, drive.dataset.ranges, warnings);
   const smoother::Result result = smoother::smooth(drive.run(), drive.options);
   if (result.rows.empty()) {
     throw io::DataError({options.input.dataset() / "odometry.csv"},
@@ -70,6 +75,7 @@ int run(const SmoothOptions& options) {
   if (result.ranges_los < 1.0) FilterInput::warn_without_ranges(result.ranges_seen, warnings);
   if (options.input.json()) {
     say_json(Json{{"ranges_seen", result.ranges_seen},
+                  {"diagnosis", diagnosis::to_json(findings)},
                   {"ranges_in_sight", result.ranges_los},
                   {"rounds", result.rounds},
                   {"converged", result.converged},
@@ -109,6 +115,7 @@ void add_smooth(CLI::App& app, Action& action) {
       ->check(CLI::IsMember({std::string(filter::model_name(filter::Model::kSchmidt)),
                              std::string(filter::model_name(filter::Model::kJoint))}))
       ->type_name("NAME");
+  add_clock_fix(*command, options->fix);
   options->input.add_output(*command);
   add_report_option(*command, options->report);
   command->callback([options, &action] { action = [options] { return run(*options); }; });

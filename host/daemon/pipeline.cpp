@@ -134,7 +134,7 @@ Status Pipeline::status(double now_s) const {
     status.diagnosis.push_back({.cause = cause_name(fault->cause),
                                 .evidence = evidence(*fault),
                                 .remedy = std::string(remedy(*fault)),
-                                .value = fault->value});
+                                .value = {fault->value}});
   }
   if (localizer_) {
     if (auto finding = localizer_->finding()) status.diagnosis.push_back(*std::move(finding));

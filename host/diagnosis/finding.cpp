@@ -21,7 +21,13 @@ nlohmann::ordered_json to_json(std::span<const Finding> findings) {
   for (const Finding& finding : findings) {
     nlohmann::ordered_json& json = out.emplace_back(nlohmann::ordered_json{
         {"cause", finding.cause}, {"evidence", finding.evidence}, {"remedy", finding.remedy}});
-    if (finding.value) json["value"] = *finding.value;
+    const auto add = [&](const char* key, const std::vector<double>& numbers) {
+      if (numbers.size() == 1) json[key] = numbers.front();
+      if (numbers.size() > 1) json[key] = numbers;
+    };
+    add("value", finding.value);
+    add("sigma", finding.sigma);
+    if (!finding.of.empty()) json["of"] = finding.of;
   }
   return out;
 }

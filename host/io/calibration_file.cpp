@@ -264,6 +264,13 @@ std::string format_calibration(const model::Calibration& calibration) {
   fmt::format_to(out, "# Of ranges behind the poses; a variance of 0: not observed.\n");
   fmt::format_to(out, "range_delay: {{mean_s: {}, variance_s2: {}}}\n", calibration.range_delay_s,
                  calibration.range_delay_sigma_s * calibration.range_delay_sigma_s);
+  if (calibration.range_clock) {
+    const model::ClockError& clock = *calibration.range_clock;
+    fmt::format_to(out,
+                   "# Of range times, late by offset_s + drift (t_s - reference_s): corrected before use.\n");
+    fmt::format_to(out, "range_clock: {{offset_s: {}, drift: {}, reference_s: {}}}\n", clock.offset_s,
+                   clock.drift, clock.reference_s);
+  }
   if (calibration.range_noise) {
     const model::RangeNoise& noise = *calibration.range_noise;
     fmt::format_to(out,
@@ -292,7 +299,7 @@ model::Calibration parse_calibration(const std::filesystem::path& path, const st
   const YamlValue yaml = YamlValue::parse(path, text);
   yaml.expect_keys({{"schema", "frame", "anchors"},
                     {"program_version", "input_sha256", "verdict", "common_frame_covariance", "range_delay",
-                     "range_noise", "tags"}});
+                     "range_clock", "range_noise", "tags"}});
   if (yaml.at("schema").integer(0, std::numeric_limits<std::int64_t>::max()) != 1) {
     yaml.at("schema").fail("is not 1", "this program reads schema 1 only");
   }
@@ -311,6 +318,12 @@ model::Calibration parse_calibration(const std::filesystem::path& path, const st
     delay->expect_keys({{"mean_s", "variance_s2"}});
     calibration.range_delay_s = delay->at("mean_s").number();
     calibration.range_delay_sigma_s = std::sqrt(parse_variance(delay->at("variance_s2")));
+  }
+  if (const auto clock = yaml.find("range_clock")) {
+    clock->expect_keys({{"offset_s", "drift", "reference_s"}});
+    calibration.range_clock = model::ClockError{.offset_s = clock->at("offset_s").number(),
+                                                .drift = clock->at("drift").number(),
+                                                .reference_s = clock->at("reference_s").number()};
   }
   if (const auto noise = yaml.find("range_noise")) calibration.range_noise = parse_range_noise(*noise);
   if (const auto tags = yaml.find("tags")) {

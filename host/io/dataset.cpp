@@ -161,8 +161,8 @@ std::uint8_t optional_code(const CsvReader& csv, std::size_t column, std::uint8_
 // `anchors` is null if every anchor is accepted.
 std::vector<model::RangeSample> parse_ranges(const std::filesystem::path& path, std::string_view text,
                                              const std::vector<model::Tag>& tags,
-                                             const std::vector<model::Anchor>* anchors,
-                                             DroppedRows& dropped) {
+                                             const std::vector<model::Anchor>* anchors, Dataset& dataset) {
+  DroppedRows& dropped = dataset.dropped;
   CsvReader csv(path, text,
                 {{"t_s"},
                  {"tag_id"},
@@ -191,6 +191,17 @@ std::vector<model::RangeSample> parse_ranges(const std::filesystem::path& path, 
     const auto line_of_sight = static_cast<model::LineOfSight>(optional_code(csv, 8, 3));
     const std::uint8_t corrections = optional_code(csv, 9, 0xFF);
     const std::int64_t network_time_dtu = csv.optional_integer(10).value_or(0);
+    const model::RangeSample range{t_s,
+                                   tag_id.value_or(0),
+                                   anchor_id.value_or(0),
+                                   range_m,
+                                   first_path_power_dbm,
+                                   receive_power_dbm,
+                                   clock_offset_ppm,
+                                   noise,
+                                   line_of_sight,
+                                   corrections,
+                                   network_time_dtu};
     if (!(range_m > 0.0 && range_m <= kMaxRange_m)) {
       ++dropped.range_out_of_bounds;
     } else if (!tag_id || !known_tags[*tag_id]) {
@@ -198,9 +209,10 @@ std::vector<model::RangeSample> parse_ranges(const std::filesystem::path& path, 
     } else if (!anchor_id || !known_anchors[*anchor_id]) {
       ++dropped.unknown_anchor;
     } else {
-      ranges.push_back({t_s, *tag_id, *anchor_id, range_m, first_path_power_dbm, receive_power_dbm,
-                        clock_offset_ppm, noise, line_of_sight, corrections, network_time_dtu});
+      ranges.push_back(range);
+      continue;
     }
+    if (tag_id && anchor_id) dataset.dropped_ranges.push_back(range);
   }
   put_in_order(ranges, kRangeKey, dropped);
   return ranges;
@@ -397,7 +409,8 @@ void parse_description(const YamlValue& yaml, const std::filesystem::path& folde
 
 // Drops the ranges that read_dataset() would drop from a folder.
 std::vector<model::RangeSample> keep_good(const std::vector<model::RangeSample>& ranges,
-                                          const std::vector<model::Tag>& tags, DroppedRows& dropped) {
+                                          const std::vector<model::Tag>& tags, Dataset& dataset) {
+  DroppedRows& dropped = dataset.dropped;
   const std::vector<bool> known_tags = known_ids(tags);
   std::vector<model::RangeSample> kept;
   kept.reserve(ranges.size());
@@ -408,7 +421,9 @@ std::vector<model::RangeSample> keep_good(const std::vector<model::RangeSample>&
       ++dropped.unknown_tag;
     } else {
       kept.push_back(range);
+      continue;
     }
+    dataset.dropped_ranges.push_back(range);
   }
   put_in_order(kept, kRangeKey, dropped);
   return kept;
@@ -441,7 +456,7 @@ Dataset read_log(const std::filesystem::path& path, const ReadOptions& options) 
   const std::filesystem::path tags = path / "tags.csv";
   dataset.tags = parse_tags(tags, described.read(tags));
 
-  dataset.ranges = keep_good(section.samples.ranges, dataset.tags, dataset.dropped);
+  dataset.ranges = keep_good(section.samples.ranges, dataset.tags, dataset);
   if (options.odometry) {
     dataset.odometry = std::move(section.samples.odometry);
     put_in_order(dataset.odometry, dataset.dropped);
@@ -483,7 +498,7 @@ Dataset read_dataset(const std::filesystem::path& path, const ReadOptions& optio
 
   const std::filesystem::path ranges = folder / "ranges.csv";
   dataset.ranges = parse_ranges(ranges, files.read(ranges), dataset.tags,
-                                with_anchors ? &dataset.surveyed_anchors : nullptr, dataset.dropped);
+                                with_anchors ? &dataset.surveyed_anchors : nullptr, dataset);
 
   if (options.odometry) {
     const std::filesystem::path odometry = folder / "odometry.csv";
@@ -515,6 +530,12 @@ Dataset read_dataset(const std::filesystem::path& path, const ReadOptions& optio
 
 std::vector<model::PoseSample> read_poses(const std::filesystem::path& path, DroppedRows& dropped) {
   return parse_poses(path, read_file(path), dropped);
+}
+
+std::vector<model::OdometrySample> read_odometry(const std::filesystem::path& folder, DroppedRows& dropped) {
+  const std::filesystem::path path = folder / "odometry.csv";
+  if (!std::filesystem::exists(path)) return {};
+  return parse_odometry(path, read_file(path), dropped);
 }
 
 std::vector<model::AnchorRange> read_survey(const std::filesystem::path& path, DroppedRows& dropped) {

@@ -58,6 +58,9 @@ struct Dataset {
   std::vector<model::Anchor> surveyed_anchors;  // by id; empty if anchors.csv is absent
   std::vector<model::Tag> tags;                 // by id
   std::vector<model::RangeSample> ranges;       // by time, then tag, then anchor; ascending
+  // Ranges that were dropped because they are out of bounds or of an unknown tag or anchor, in the order
+  // read; an id that is no 16-bit number is left out.
+  std::vector<model::RangeSample> dropped_ranges;
   std::vector<model::OdometrySample> odometry;  // by time, strictly ascending
   // Poses: by time, strictly ascending; roll and pitch are each NaN if the file lacks them.
   std::vector<model::PoseSample> ground_truth;  // empty if the file is absent
@@ -94,6 +97,11 @@ struct ReadOptions {
 // read_dataset().
 [[nodiscard]] std::vector<model::PoseSample> read_poses(const std::filesystem::path& path,
                                                         DroppedRows& dropped);
+
+// Reads the odometry of a folder; empty if it has none. Late and repeated rows are dropped and counted.
+// Throws as read_dataset().
+[[nodiscard]] std::vector<model::OdometrySample> read_odometry(const std::filesystem::path& folder,
+                                                               DroppedRows& dropped);
 
 // Reads the table that `groma survey` prints: anchor_id,other_id,range_m,sigma_m,count. Rows with a wrong id
 // or range are dropped and counted. Throws as read_dataset().

@@ -11,6 +11,7 @@
 
 #include "host/model/anchor_parameters.hpp"
 #include "host/model/antenna_pattern.hpp"
+#include "host/model/clock_error.hpp"
 #include "host/model/state_archive.hpp"
 #include "host/model/types.hpp"
 
@@ -91,13 +92,15 @@ struct Calibration {
   double range_delay_s = 0.0;
   double range_delay_sigma_s = 0.0;
   std::optional<RangeNoise> range_noise;  // none: not observed
+  // Of the range timestamps: they are corrected by it before use, and range_delay_s is what then remains.
+  std::optional<ClockError> range_clock;
   Verdict verdict = Verdict::kUnusable;
   std::string input_sha256;
   std::string program_version;
 
   void archive(StateArchive& state) {
     state(frame, anchors, tags, common_frame_covariance, range_delay_s, range_delay_sigma_s, range_noise,
-          verdict, input_sha256, program_version);
+          range_clock, verdict, input_sha256, program_version);
   }
 };
 

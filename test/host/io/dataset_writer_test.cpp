@@ -22,10 +22,12 @@ namespace {
 // The members of a struct as a tuple. A new member of one of these structs breaks the compilation here: add
 // it here, set it in sample(), and write it in write_dataset().
 auto members(const Dataset& of) {
-  const auto& [name, origin, odometry_noise, range_priors, surface, surveyed_anchors, tags, ranges, odometry,
-               ground_truth, pose_prior, sensor_samples, sensors, dropped, log, sha256] = of;
+  const auto& [name, origin, odometry_noise, range_priors, surface, surveyed_anchors, tags, ranges,
+               dropped_ranges, odometry, ground_truth, pose_prior, sensor_samples, sensors, dropped, log,
+               sha256] = of;
   return std::tie(name, origin, odometry_noise, range_priors, surface, surveyed_anchors, tags, ranges,
-                  odometry, ground_truth, pose_prior, sensor_samples, sensors, dropped, log, sha256);
+                  dropped_ranges, odometry, ground_truth, pose_prior, sensor_samples, sensors, dropped, log,
+                  sha256);
 }
 auto members(const model::OdometryNoise& of) {
   const auto& [vx, vy, omega] = of;
@@ -221,14 +223,15 @@ ReadOptions everything() {
   return options;
 }
 
-// The last members of Dataset describe the reading.
-constexpr std::size_t kDropped = 13;
-constexpr std::size_t kLog = 14;
-constexpr std::size_t kSha256 = 15;
+// These members of Dataset describe the reading.
+constexpr std::size_t kDroppedRanges = 8;
+constexpr std::size_t kDropped = 14;
+constexpr std::size_t kLog = 15;
+constexpr std::size_t kSha256 = 16;
 
 TEST(DatasetWriter, EachMemberOfTheSampleIsSet) {
   const Dataset set = sample();
-  EXPECT_EQ(same_members(set, Dataset{}), (std::vector{kDropped, kLog, kSha256}));
+  EXPECT_EQ(same_members(set, Dataset{}), (std::vector{kDroppedRanges, kDropped, kLog, kSha256}));
   const std::vector<std::size_t> none;
   EXPECT_EQ(same_members(set.odometry_noise, {}), none);
   EXPECT_EQ(same_members(set.range_priors, {}), none);

@@ -1,0 +1,292 @@
+#include "host/diagnosis/hypothesis.hpp"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <numbers>
+#include <utility>
+
+#include <Eigen/Cholesky>
+#include <Eigen/Geometry>
+
+#include "host/diagnosis/thresholds.hpp"
+#include "host/diagnosis/units.hpp"
+#include "host/model/pose.hpp"
+
+namespace groma::diagnosis {
+namespace {
+
+// By hand: enough for a gain of 1 %, few enough for a second or two.
+constexpr std::size_t kMostRows = 3000;
+constexpr std::size_t kMostSearchRows = 800;
+constexpr std::size_t kMinRows = 200;
+// A hypothesis has to raise the log likelihood of a range by this, more than effects that good runs have: by
+// hand. Each of its parameters costs this much of it.
+constexpr double kLeastGain = 0.02;
+constexpr double kGainPerParameter = 0.003;
+// ... and in this share of the drive's slices.
+constexpr double kMinSlices = 0.65;
+
+constexpr double kInfinity = std::numeric_limits<double>::infinity();
+
+Parameters with(std::initializer_list<double> start, std::initializer_list<double> sigma,
+                std::initializer_list<double> step, std::function<Mistake(const Eigen::VectorXd&)> mistake) {
+  const auto vector = [](std::initializer_list<double> of) {
+    return Eigen::VectorXd(
+        Eigen::Map<const Eigen::VectorXd>(of.begin(), static_cast<Eigen::Index>(of.size())));
+  };
+  return {vector(start), vector(sigma), vector(step), std::move(mistake)};
+}
+
+bool is_certain(const RangeFit& fit, Eigen::Index parameter, double value) {
+  return std::abs(value) > kSignificance * std::sqrt(fit.covariance(parameter, parameter));
+}
+double sigma_of(const RangeFit& fit, Eigen::Index parameter, double systematic) {
+  return std::hypot(std::sqrt(std::max(0.0, fit.covariance(parameter, parameter))), systematic);
+}
+
+std::string late(double offset_s) {
+  return fmt::format("{:.3f} s {}", std::abs(offset_s), offset_s > 0.0 ? "late" : "early");
+}
+
+// Share of the drive's slices in which the fit is better than the other.
+double share_of_slices(const RangeFit& fit, const RangeFit& other) {
+  double better = 0.0;
+  double all = 0.0;
+  for (std::size_t i = 0; i < fit.slice_cost.size(); ++i) {
+    if (!std::isfinite(fit.slice_cost[i]) || !std::isfinite(other.slice_cost[i])) continue;
+    all += 1.0;
+    if (fit.slice_cost[i] < other.slice_cost[i]) better += 1.0;
+  }
+  return all > 0.0 ? better / all : 0.0;
+}
+
+}  // namespace
+
+double best_offset_s(const Data& data, const MakeScene& make_scene) {
+  const auto few = make_scene(data, kMostSearchRows);
+  const auto cost_at = [&](double offset_s) {
+    Parameters none;
+    none.mistake = [offset_s](const Eigen::VectorXd&) { return Mistake{.clock = {.offset_s = offset_s}}; };
+    const RangeFit fit = fit_ranges(*few, none, {}, 0);
+    return 2 * fit.rows < few->rows().size() ? kInfinity : fit.cost;
+  };
+  double best_s = 0.0;
+  double best = cost_at(0.0);
+  for (double step_s = 0.2; step_s < 30.0; step_s = std::max(step_s + 0.4, 1.15 * step_s)) {
+    for (const double offset_s : {step_s, -step_s}) {
+      const double cost = cost_at(offset_s);
+      if (cost < best) {
+        best = cost;
+        best_s = offset_s;
+      }
+    }
+  }
+  return best_s;
+}
+
+Hypothesis clock_offset(double start_s, std::string_view reference) {
+  const auto mistake = [](const Eigen::VectorXd& at) { return Mistake{.clock = {.offset_s = at(0)}}; };
+  Hypothesis out;
+  out.starts = {with({0.0}, {kInfinity}, {0.005}, mistake)};
+  if (start_s != 0.0) out.starts.push_back(with({start_s}, {kInfinity}, {0.005}, mistake));
+  out.name = [reference](const RangeFit& fit) -> std::optional<Finding> {
+    const double offset_s = fit.at(0);
+    if (std::abs(offset_s) < kLeastClock_s || !is_certain(fit, 0, offset_s)) return std::nullopt;
+    return Finding{
+        .cause = "clock-offset",
+        .evidence = fmt::format("the ranges' times are {} against the {}'", late(offset_s), reference),
+        .remedy = fmt::format("subtract {:.3f} s from the times of the ranges, or timestamp both with one "
+                              "clock; --fix does so in memory",
+                              offset_s),
+        .value = {offset_s},
+        .sigma = {sigma_of(fit, 0, kClockSystematic_s)},
+        .clock = model::ClockError{.offset_s = offset_s}};
+  };
+  out.correct = [](const RangeFit& fit, Data& data) {
+    for (model::RangeSample& range : data.ranges) range.t_s -= fit.at(0);
+  };
+  return out;
+}
+
+Hypothesis clock_drift(double start_s, double begin_s, double end_s, std::string_view reference) {
+  const double middle_s = 0.5 * (begin_s + end_s);
+  const auto mistake = [middle_s](const Eigen::VectorXd& at) {
+    return Mistake{.clock = {.offset_s = at(0), .drift = at(1), .reference_s = middle_s}};
+  };
+  Hypothesis out;
+  out.starts.clear();
+  for (const double drift : {0.0, 0.005, -0.005}) {
+    out.starts.push_back(with({start_s, drift}, {kInfinity, kInfinity}, {0.005, 1e-5}, mistake));
+  }
+  out.name = [=](const RangeFit& fit) -> std::optional<Finding> {
+    const double drift = fit.at(1);
+    const double spread_s = drift * (end_s - begin_s);
+    if (std::abs(spread_s) < kLeastDrift_s || !is_certain(fit, 1, drift)) return std::nullopt;
+    return Finding{
+        .cause = "clock-drift",
+        .evidence = fmt::format("the ranges' clock and the {}' separate by {:.2f} s over the drive "
+                                "(ranges {} in the middle)",
+                                reference, std::abs(spread_s), late(fit.at(0))),
+        .remedy = "timestamp ranges and poses with one clock; --fix corrects the times in memory",
+        .value = {drift},
+        .sigma = {sigma_of(fit, 1, kDriftSystematic_s / (end_s - begin_s))},
+        .clock = mistake(fit.at).clock};
+  };
+  out.correct = [mistake](const RangeFit& fit, Data& data) {
+    const model::ClockError clock = mistake(fit.at).clock;
+    for (model::RangeSample& range : data.ranges) range.t_s = clock.corrected_s(range.t_s);
+  };
+  return out;
+}
+
+Hypothesis swapped_tags(std::size_t a, std::size_t b, const Data& data) {
+  Hypothesis out;
+  out.penalty = kDiscretePenalty;
+  out.change = [a, b](Data& changed) { std::swap(changed.tags[a].lever_arm_m, changed.tags[b].lever_arm_m); };
+  out.name = [ids = std::vector{data.tags[a].id, data.tags[b].id}](const RangeFit&) {
+    return Finding{
+        .cause = "swapped-tags",
+        .evidence = fmt::format("the ranges fit the motion if tags {} and {} change places", ids[0], ids[1]),
+        .remedy = fmt::format("exchange the positions of tags {} and {} in tags.csv, or the tags on the "
+                              "robot",
+                              ids[0], ids[1]),
+        .of = ids};
+  };
+  return out;
+}
+
+Hypothesis mirrored_tags() {
+  Hypothesis out;
+  // A little more than to swap: with two tags it may be the same, and to swap is more usual.
+  out.penalty = kDiscretePenalty + kGainPerParameter;
+  out.change = [](Data& changed) {
+    for (model::Tag& tag : changed.tags) tag.lever_arm_m.y() = -tag.lever_arm_m.y();
+  };
+  out.name = [](const RangeFit&) {
+    return Finding{.cause = "lateral-sign",
+                   .evidence = "the ranges fit the motion if the tags' y changes its sign",
+                   .remedy = "count y_m of tags.csv positive to the left"};
+  };
+  return out;
+}
+
+Hypothesis wrong_lever_arm(std::size_t tag, const Data& data) {
+  constexpr double kPrior_m = 1.0;  // by hand: half the size of a robot
+  Hypothesis out;
+  out.starts = {
+      with({0.0, 0.0, 0.0}, {kPrior_m, kPrior_m, kPrior_m}, {1e-3, 1e-3, 1e-3},
+           [tag](const Eigen::VectorXd& at) { return Mistake{.tag = tag, .lever_arm_m = at.head<3>()}; })};
+  out.name = [id = data.tags[tag].id](const RangeFit& fit) -> std::optional<Finding> {
+    const Eigen::Vector3d& error_m = fit.at.head<3>();
+    const double certain_m2 = error_m.squaredNorm() - fit.covariance.trace();
+    const double chi2 = error_m.dot(fit.covariance.ldlt().solve(error_m));
+    if (certain_m2 < kLeastLeverArm_m * kLeastLeverArm_m || chi2 < kSignificance * kSignificance)
+      return std::nullopt;
+    Finding finding{
+        .cause = "lever-arm",
+        .evidence = fmt::format("tag {} is {:.2f} m from where tags.csv has it: its x, y, z there are "
+                                "too large by {:.2f}, {:.2f}, {:.2f} m",
+                                id, error_m.norm(), error_m.x(), error_m.y(), error_m.z()),
+        .remedy = fmt::format("measure the position of tag {} in base_link again, and correct tags.csv", id),
+        .of = {id}};
+    for (Eigen::Index axis = 0; axis < 3; ++axis) {
+      finding.value.push_back(error_m(axis));
+      finding.sigma.push_back(sigma_of(fit, axis, kLeverArmSystematic_m));
+    }
+    return finding;
+  };
+  out.correct = [tag](const RangeFit& fit, Data& changed) {
+    changed.tags[tag].lever_arm_m -= fit.at.head<3>();
+  };
+  return out;
+}
+
+Hypothesis heading_offset() {
+  const auto mistake = [](const Eigen::VectorXd& at) { return Mistake{.heading_rad = at(0)}; };
+  Hypothesis out;
+  out.starts.clear();
+  for (const double start_rad : {0.0, 0.5, 1.0, -0.5, -1.0})
+    out.starts.push_back(with({start_rad * std::numbers::pi}, {kInfinity}, {1e-4}, mistake));
+  out.name = [](const RangeFit& fit) -> std::optional<Finding> {
+    const double offset_rad = model::wrap_angle(fit.at(0));
+    if (std::abs(offset_rad) < kLeastHeading_rad || !is_certain(fit, 0, offset_rad)) return std::nullopt;
+    return Finding{.cause = "heading-offset",
+                   .evidence = fmt::format("the tags are turned by {:.1f} degrees against the poses' heading",
+                                           offset_rad * kDegrees.factor),
+                   .remedy =
+                       "give the yaw of base_link's x axis (forward) in the poses, or turn the positions in "
+                       "tags.csv into base_link",
+                   .value = {offset_rad},
+                   .sigma = {sigma_of(fit, 0, kHeadingSystematic_rad)}};
+  };
+  out.correct = [](const RangeFit& fit, Data& data) {
+    for (model::PoseSample& pose : data.poses) pose.yaw_rad = model::wrap_angle(pose.yaw_rad - fit.at(0));
+  };
+  return out;
+}
+
+Hypothesis heading_sign() {
+  Hypothesis out;
+  out.penalty = kDiscretePenalty;
+  out.change = [](Data& data) {
+    for (model::PoseSample& pose : data.poses) pose.yaw_rad = -pose.yaw_rad;
+  };
+  out.name = [](const RangeFit&) {
+    return Finding{.cause = "heading-sign",
+                   .evidence = "the ranges fit the poses if the heading changes its sign",
+                   .remedy = "count the yaw of the poses counter-clockwise, from above"};
+  };
+  return out;
+}
+
+// The likeliest hypothesis, if the ranges are clearly likelier under it than as given; corrected in the data.
+static std::optional<Finding> find_likeliest(Data& data, const MakeScene& make_scene,
+                                             const MakeHypotheses& hypotheses_of) {
+  const auto scene = make_scene(data, kMostRows);
+  if (scene->rows().size() < kMinRows) return std::nullopt;
+  RangeFit given = fit_ranges(*scene, {});
+  if (2 * given.rows < scene->rows().size()) return std::nullopt;
+  std::optional<Finding> best;
+  double best_gain = kLeastGain;
+  std::optional<Data> corrected;
+  for (const Hypothesis& hypothesis : hypotheses_of(data)) {
+    Data changed = data;
+    hypothesis.change(changed);
+    const auto changed_scene = make_scene(changed, kMostRows);
+    for (const Parameters& start : hypothesis.starts) {
+      const RangeFit fit = fit_ranges(*changed_scene, start, given.blocks);
+      const double penalty = hypothesis.penalty + kGainPerParameter * static_cast<double>(start.start.size());
+      if (given.cost - fit.cost - penalty < best_gain || 2 * fit.rows < given.rows) continue;
+      // The nuisance parameters may be better where the hypothesis has put them, without it too.
+      RangeFit again = fit_ranges(*scene, {}, fit.blocks);
+      if (again.cost < given.cost) given = std::move(again);
+      const double gain = given.cost - fit.cost - penalty;
+      if (gain < best_gain || fit.scale_m > kMostSigmas * data.priors.sigma_m) continue;
+      std::optional<Finding> finding = hypothesis.name(fit);
+      if (!finding || share_of_slices(fit, given) < kMinSlices) continue;
+      best = std::move(finding);
+      best_gain = gain;
+      corrected = changed;
+      hypothesis.correct(fit, *corrected);
+    }
+  }
+  if (best) data = std::move(*corrected);
+  return best;
+}
+
+std::vector<Finding> find_mistakes(Data& data, const MakeScene& make_scene,
+                                   const MakeHypotheses& hypotheses_of) {
+  constexpr std::size_t kMost = 3;  // by hand: who makes more mistakes at once corrects these first
+  std::vector<Finding> findings;
+  while (findings.size() < kMost) {
+    std::optional<Finding> found = find_likeliest(data, make_scene, hypotheses_of);
+    if (!found) break;
+    findings.push_back(std::move(*found));
+  }
+  return findings;
+}
+
+}  // namespace groma::diagnosis

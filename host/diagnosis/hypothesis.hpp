@@ -1,0 +1,57 @@
+// Hypotheses of what is wrong with the data of a drive, as ranges show it.
+#pragma once
+
+#include <cstddef>
+#include <functional>
+#include <memory>
+#include <optional>
+#include <string_view>
+#include <vector>
+
+#include "host/diagnosis/data.hpp"
+#include "host/diagnosis/finding.hpp"
+#include "host/diagnosis/range_fit.hpp"
+
+namespace groma::diagnosis {
+
+// Penalty of a hypothesis without a parameter, in log likelihood of a range. By hand: in all runs such a
+// mistake costs at least four times as much.
+inline constexpr double kDiscretePenalty = 0.1;
+
+struct Hypothesis {
+  std::function<void(Data&)> change = [](Data&) {};  // of the data, before the fit
+  std::vector<Parameters> starts{Parameters{}};
+  double penalty = 0.0;  // beside that of its parameters
+  // The finding, if the error is large and certain enough to be named.
+  std::function<std::optional<Finding>(const RangeFit&)> name;
+  // Removes the estimated error from the data.
+  std::function<void(const RangeFit&, Data&)> correct = [](const RangeFit&, Data&) {};
+};
+
+// `reference`: whose clock the ranges are compared with. `start_s`: see best_offset_s(); the drive is from
+// begin_s to end_s.
+[[nodiscard]] Hypothesis clock_offset(double start_s, std::string_view reference);
+[[nodiscard]] Hypothesis clock_drift(double start_s, double begin_s, double end_s,
+                                     std::string_view reference);
+// Indices of tags.
+[[nodiscard]] Hypothesis swapped_tags(std::size_t a, std::size_t b, const Data& data);
+[[nodiscard]] Hypothesis wrong_lever_arm(std::size_t tag, const Data& data);
+// All tags' y to the right.
+[[nodiscard]] Hypothesis mirrored_tags();
+[[nodiscard]] Hypothesis heading_offset();
+[[nodiscard]] Hypothesis heading_sign();
+
+// Ranges with their unknowns, thinned to about most_rows; the data outlives the scene.
+using MakeScene = std::function<std::unique_ptr<Scene>(const Data&, std::size_t most_rows)>;
+using MakeHypotheses = std::function<std::vector<Hypothesis>(const Data&)>;
+
+// The clock offset under which a few ranges fit best, of a grid that is dense near zero. By hand: up to half
+// a minute.
+[[nodiscard]] double best_offset_s(const Data& data, const MakeScene& make_scene);
+
+// The mistakes that are named, each corrected in the data before the next is looked for: the hypothesis under
+// which the ranges are likeliest, if they are clearly likelier than as given.
+[[nodiscard]] std::vector<Finding> find_mistakes(Data& data, const MakeScene& make_scene,
+                                                 const MakeHypotheses& hypotheses_of);
+
+}  // namespace groma::diagnosis

@@ -1,0 +1,28 @@
+// Checks of single tables and of their times, without an estimate. Each names a mistake that would spoil
+// every comparison, and corrects it in the data if it can.
+#pragma once
+
+#include <vector>
+
+#include "host/diagnosis/data.hpp"
+#include "host/diagnosis/finding.hpp"
+
+namespace groma::diagnosis {
+
+// Tags and anchors that are heard but not configured: `unknown-tag` and `unknown-anchor`.
+[[nodiscard]] std::vector<Finding> find_unknown_nodes(const Data& data);
+
+// Times that are not in seconds (`time-unit`, corrected) or do not overlap (`time-overlap`).
+[[nodiscard]] std::vector<Finding> find_wrong_times(Data& data);
+
+// Lever arms that are too long for a robot, and ranges that change by more, or far less, than the robot
+// moves: `length-unit`, corrected. Moves ranges that are then within bounds from dropped_ranges to ranges.
+[[nodiscard]] std::vector<Finding> find_wrong_lengths(Data& data);
+
+// Yaw of poses in degrees: `angle-unit`, corrected.
+[[nodiscard]] std::vector<Finding> find_wrong_angles(Data& data);
+
+// Poses above or below the surface by a constant height: `surface-height`.
+[[nodiscard]] std::vector<Finding> find_wrong_height(const Data& data);
+
+}  // namespace groma::diagnosis

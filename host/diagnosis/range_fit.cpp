@@ -1,0 +1,308 @@
+#include "host/diagnosis/range_fit.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include <Eigen/Cholesky>
+
+#include "host/diagnosis/student.hpp"
+
+namespace groma::diagnosis {
+namespace {
+
+// No range is better than this. By hand.
+constexpr double kLeastScale_m = 0.005;
+// An iteration that gains less than this a row is the last: by hand, a hundred-thousandth of what a
+// hypothesis has to gain.
+constexpr double kConverged = 2e-7;
+
+struct BlockRange {
+  std::size_t begin = 0;
+  std::size_t end = 0;
+};
+
+std::vector<BlockRange> blocks_of(const Scene& scene) {
+  std::vector<BlockRange> out(scene.block_count());
+  const auto rows = scene.rows();
+  for (std::size_t i = 0; i < rows.size(); ++i) {
+    BlockRange& block = out[rows[i].block];
+    if (block.end == 0) block.begin = i;
+    block.end = i + 1;
+  }
+  return out;
+}
+
+double median_size(std::vector<double> values) {
+  std::erase_if(values, [](double value) { return !std::isfinite(value); });
+  if (values.empty()) return kLeastScale_m;
+  for (double& value : values) value = std::abs(value);
+  const auto middle = values.begin() + std::ssize(values) / 2;
+  std::nth_element(values.begin(), middle, values.end());
+  return std::max(1.5 * *middle, kLeastScale_m);
+}
+
+double prior_cost(const Scene& scene, const Eigen::VectorXd& block) {
+  return 0.5 * ((block - scene.prior_mean()).array() / scene.prior_sigma().array()).square().sum();
+}
+
+class Fitter {
+ public:
+  Fitter(const Scene& scene, const Parameters& parameters)
+      : scene_(scene), parameters_(parameters), rows_(scene.rows()), ranges_(blocks_of(scene)) {
+    derivatives_.block.resize(scene.prior_mean().size());
+    prior_information_ = scene.prior_sigma().array().square().inverse();
+  }
+
+  RangeFit run(const std::vector<Eigen::VectorXd>& earlier, int max_iterations) {
+    RangeFit best;
+    best.at = parameters_.start;
+    locate(best.at, antennas_);
+    for (std::size_t b = 0; b < ranges_.size(); ++b) {
+      best.blocks.push_back(start_block(b, b < earlier.size() ? &earlier[b] : nullptr));
+    }
+    residuals_.resize(rows_.size());
+    compute_residuals(antennas_, best.blocks, residuals_);
+    best.scale_m = median_size(residuals_);
+    score(residuals_, best, 20);
+    iterate(best, max_iterations);
+    return best;
+  }
+
+ private:
+  void locate(const Eigen::VectorXd& at, std::vector<Eigen::Vector3d>& out) const {
+    const Mistake mistake = parameters_.mistake(at);
+    out.resize(rows_.size());
+    for (std::size_t i = 0; i < rows_.size(); ++i) out[i] = scene_.antenna_m(rows_[i], mistake);
+  }
+
+  void compute_residuals(const std::vector<Eigen::Vector3d>& antennas,
+                         const std::vector<Eigen::VectorXd>& blocks, std::vector<double>& out) {
+    for (std::size_t i = 0; i < rows_.size(); ++i) {
+      out[i] =
+          rows_[i].range_m - scene_.predict_m(rows_[i], antennas[i], blocks[rows_[i].block], derivatives_);
+    }
+  }
+
+  // Scale and cost of these residuals, priors included.
+  void score(std::span<const double> residuals, RangeFit& fit, int iterations) const {
+    fit.scale_m = student_scale(residuals, fit.scale_m, kLeastScale_m, iterations);
+    std::vector<double> sums(kSlices, 0.0);
+    std::vector<double> counts(kSlices, 0.0);
+    double sum = 0.0;
+    fit.rows = 0;
+    for (std::size_t i = 0; i < rows_.size(); ++i) {
+      if (!std::isfinite(residuals[i])) continue;
+      const double cost = student_cost(residuals[i], fit.scale_m);
+      sum += cost;
+      ++fit.rows;
+      sums[rows_[i].slice] += cost;
+      counts[rows_[i].slice] += 1.0;
+    }
+    for (const Eigen::VectorXd& block : fit.blocks) sum += prior_cost(scene_, block);
+    sum += 0.5 * ((fit.at - parameters_.start).array() / parameters_.prior_sigma.array()).square().sum();
+    fit.cost = fit.rows > 0 ? sum / static_cast<double>(fit.rows) : std::numeric_limits<double>::infinity();
+    fit.slice_cost.resize(kSlices);
+    for (std::size_t k = 0; k < sums.size(); ++k)
+      fit.slice_cost[k] = sums[k] / counts[k];  // NaN without rows
+  }
+
+  // The best of a block's starts, each improved by itself.
+  Eigen::VectorXd start_block(std::size_t b, const Eigen::VectorXd* earlier) {
+    const BlockRange range = ranges_[b];
+    const std::size_t size = range.end - range.begin;
+    std::vector<Eigen::VectorXd> starts =
+        scene_.starts(b, rows_.subspan(range.begin, size), std::span(antennas_).subspan(range.begin, size));
+    if (earlier != nullptr) starts.push_back(*earlier);
+    Eigen::VectorXd best = scene_.prior_mean();
+    double best_cost = std::numeric_limits<double>::infinity();
+    for (Eigen::VectorXd& start : starts) {
+      const double cost = improve_block(range, start);
+      if (cost < best_cost) {
+        best_cost = cost;
+        best = start;
+      }
+    }
+    return best;
+  }
+
+  double block_cost(BlockRange range, const Eigen::VectorXd& block, double& scale_m, int iterations) {
+    std::vector<double>& r = block_residuals_;
+    r.resize(range.end - range.begin);
+    for (std::size_t i = range.begin; i < range.end; ++i) {
+      r[i - range.begin] = rows_[i].range_m - scene_.predict_m(rows_[i], antennas_[i], block, derivatives_);
+    }
+    if (scale_m == 0.0) scale_m = median_size(r);
+    scale_m = student_scale(r, scale_m, kLeastScale_m, iterations);
+    double cost = prior_cost(scene_, block);
+    for (const double residual : r) {
+      if (std::isfinite(residual)) cost += student_cost(residual, scale_m);
+    }
+    return cost;
+  }
+
+  double improve_block(BlockRange range, Eigen::VectorXd& block) {
+    double scale_m = 0.0;
+    double cost = block_cost(range, block, scale_m, 10);
+    double damping = 1e-2;
+    for (int iteration = 0; iteration < 15; ++iteration) {
+      Eigen::MatrixXd information = prior_information_.asDiagonal();
+      Eigen::VectorXd gradient = prior_information_.cwiseProduct(scene_.prior_mean() - block);
+      for (std::size_t i = range.begin; i < range.end; ++i) {
+        const double r = rows_[i].range_m - scene_.predict_m(rows_[i], antennas_[i], block, derivatives_);
+        if (!std::isfinite(r)) continue;
+        const double weight = student_weight(r, scale_m) / (scale_m * scale_m);
+        information.selfadjointView<Eigen::Lower>().rankUpdate(derivatives_.block, weight);
+        gradient += weight * r * derivatives_.block;
+      }
+      bool improved = false;
+      double gained = 0.0;
+      for (int attempt = 0; attempt < 6 && !improved; ++attempt) {
+        Eigen::MatrixXd damped = information;
+        damped.diagonal() *= 1.0 + damping;
+        damped.diagonal().array() += 1e-9;
+        const Eigen::VectorXd next = block + damped.selfadjointView<Eigen::Lower>().ldlt().solve(gradient);
+        double next_scale_m = scale_m;
+        const double next_cost = block_cost(range, next, next_scale_m, 2);
+        improved = next_cost < cost;
+        damping = improved ? std::max(1e-7, 0.2 * damping) : 8.0 * damping;
+        if (!improved) continue;
+        gained = cost - next_cost;
+        block = next;
+        cost = next_cost;
+        scale_m = next_scale_m;
+      }
+      if (!improved || gained < 0.01) break;
+    }
+    return cost;
+  }
+
+  // Levenberg-Marquardt on all unknowns; the blocks are eliminated (Schur complement).
+  void iterate(RangeFit& best, int max_iterations) {
+    const Eigen::Index p = parameters_.start.size();
+    const Eigen::Index n = scene_.prior_mean().size();
+    const std::size_t blocks = ranges_.size();
+    const Eigen::VectorXd shared_prior = parameters_.prior_sigma.array().square().inverse();
+    std::vector<std::vector<Eigen::Vector3d>> moved(static_cast<std::size_t>(p));
+    std::vector<Eigen::MatrixXd> a(blocks);  // information of the blocks
+    std::vector<Eigen::MatrixXd> c(blocks);  // of blocks and shared parameters
+    std::vector<Eigen::VectorXd> g(blocks);
+    Eigen::MatrixXd shared(p, p);
+    Eigen::VectorXd shared_g(p);
+    Eigen::MatrixXd row_shared(p, static_cast<Eigen::Index>(rows_.size()));
+    double damping = 1e-3;
+    std::vector<Eigen::Vector3d> next_antennas;
+    std::vector<double> next_residuals(rows_.size());
+    for (int iteration = 0; iteration < max_iterations; ++iteration) {
+      for (Eigen::Index k = 0; k < p; ++k) {
+        Eigen::VectorXd at = best.at;
+        at(k) += parameters_.step(k);
+        locate(at, moved[static_cast<std::size_t>(k)]);
+      }
+      shared = shared_prior.asDiagonal();
+      shared_g = shared_prior.cwiseProduct(parameters_.start - best.at);
+      for (std::size_t b = 0; b < blocks; ++b) {
+        a[b] = prior_information_.asDiagonal();
+        c[b].setZero(n, p);
+        g[b] = prior_information_.cwiseProduct(scene_.prior_mean() - best.blocks[b]);
+      }
+      for (std::size_t i = 0; i < rows_.size(); ++i) {
+        const auto column = static_cast<Eigen::Index>(i);
+        row_shared.col(column).setZero();
+        if (!std::isfinite(residuals_[i])) continue;
+        const std::size_t b = rows_[i].block;
+        static_cast<void>(scene_.predict_m(rows_[i], antennas_[i], best.blocks[b], derivatives_));
+        for (Eigen::Index k = 0; k < p; ++k) {
+          const Eigen::Vector3d by =
+              (moved[static_cast<std::size_t>(k)][i] - antennas_[i]) / parameters_.step(k);
+          row_shared(k, column) = by.allFinite() ? derivatives_.antenna.dot(by) : 0.0;
+        }
+        const double weight = student_weight(residuals_[i], best.scale_m) / (best.scale_m * best.scale_m);
+        a[b] += weight * derivatives_.block * derivatives_.block.transpose();
+        g[b] += weight * residuals_[i] * derivatives_.block;
+        if (p == 0) continue;
+        c[b] += weight * derivatives_.block * row_shared.col(column).transpose();
+        shared += weight * row_shared.col(column) * row_shared.col(column).transpose();
+        shared_g += weight * residuals_[i] * row_shared.col(column);
+      }
+      bool improved = false;
+      double gained = 0.0;
+      for (int attempt = 0; attempt < 7 && !improved; ++attempt) {
+        Eigen::MatrixXd reduced = shared;
+        reduced.diagonal() *= 1.0 + damping;
+        Eigen::VectorXd reduced_g = shared_g;
+        std::vector<Eigen::LDLT<Eigen::MatrixXd>> solvers(blocks);
+        for (std::size_t b = 0; b < blocks; ++b) {
+          Eigen::MatrixXd damped = a[b];
+          damped.diagonal() *= 1.0 + damping;
+          damped.diagonal().array() += 1e-9;
+          solvers[b].compute(damped);
+          if (p == 0) continue;
+          reduced -= c[b].transpose() * solvers[b].solve(c[b]);
+          reduced_g -= c[b].transpose() * solvers[b].solve(g[b]);
+        }
+        RangeFit next = best;
+        Eigen::VectorXd step(p);
+        if (p > 0) step = reduced.ldlt().solve(reduced_g);
+        next.at += step;
+        for (std::size_t b = 0; b < blocks; ++b) next.blocks[b] += solvers[b].solve(g[b] - c[b] * step);
+        locate(next.at, next_antennas);
+        compute_residuals(next_antennas, next.blocks, next_residuals);
+        score(next_residuals, next, 2);
+        improved = next.cost < best.cost;
+        damping = improved ? std::max(1e-8, 0.2 * damping) : 8.0 * damping;
+        if (!improved) continue;
+        gained = best.cost - next.cost;
+        best = std::move(next);
+        antennas_.swap(next_antennas);
+        residuals_.swap(next_residuals);
+      }
+      if (!improved || gained < kConverged) break;
+    }
+    if (p > 0) estimate_covariance(a, c, shared, row_shared, best);
+  }
+
+  // From the scatter of the slices' scores with the blocks eliminated, plus that of the model.
+  void estimate_covariance(const std::vector<Eigen::MatrixXd>& a, const std::vector<Eigen::MatrixXd>& c,
+                           const Eigen::MatrixXd& shared, const Eigen::MatrixXd& row_shared, RangeFit& best) {
+    const Eigen::Index p = shared.rows();
+    Eigen::MatrixXd information = shared;
+    std::vector<Eigen::MatrixXd> gains;
+    for (std::size_t b = 0; b < a.size(); ++b) {
+      Eigen::MatrixXd damped = a[b];
+      damped.diagonal().array() += 1e-9;
+      gains.emplace_back(damped.ldlt().solve(c[b]));
+      information -= c[b].transpose() * gains.back();
+    }
+    Eigen::MatrixXd scores = Eigen::MatrixXd::Zero(p, kSlices);
+    for (std::size_t i = 0; i < rows_.size(); ++i) {
+      if (!std::isfinite(residuals_[i])) continue;
+      const std::size_t b = rows_[i].block;
+      static_cast<void>(scene_.predict_m(rows_[i], antennas_[i], best.blocks[b], derivatives_));
+      const double weight = student_weight(residuals_[i], best.scale_m) / (best.scale_m * best.scale_m);
+      scores.col(rows_[i].slice) +=
+          weight * residuals_[i] *
+          (row_shared.col(static_cast<Eigen::Index>(i)) - gains[b].transpose() * derivatives_.block);
+    }
+    const Eigen::MatrixXd inverse = information.ldlt().solve(Eigen::MatrixXd::Identity(p, p));
+    best.covariance = inverse * (scores * scores.transpose()) * inverse + inverse;
+  }
+
+  const Scene& scene_;
+  const Parameters& parameters_;
+  std::span<const RangeRow> rows_;
+  std::vector<BlockRange> ranges_;
+  Eigen::VectorXd prior_information_;
+  RangeDerivatives derivatives_;
+  std::vector<Eigen::Vector3d> antennas_;
+  std::vector<double> residuals_;
+  std::vector<double> block_residuals_;
+};
+
+}  // namespace
+
+RangeFit fit_ranges(const Scene& scene, const Parameters& parameters,
+                    const std::vector<Eigen::VectorXd>& earlier, int max_iterations) {
+  return Fitter(scene, parameters).run(earlier, max_iterations);
+}
+
+}  // namespace groma::diagnosis

@@ -1,0 +1,169 @@
+#include "host/diagnosis/window_scene.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <map>
+#include <numbers>
+#include <utility>
+
+#include <Eigen/Geometry>
+#include <Eigen/QR>
+
+namespace groma::diagnosis {
+namespace {
+
+// By hand: dead reckoning drifts by less than the noise of a range, and the robot moves enough for its place
+// and heading to show.
+constexpr double kWindowLength_s = 10.0;
+// A window with fewer ranges does not determine its place.
+constexpr std::size_t kMinWindowRows = 12;
+
+// Pairs whose bias is less certain, such as those of surveyed anchors, would be explained by a mistake. By
+// hand: a third of the lever arm that is named.
+constexpr double kMostBetaSigma_m = 0.1;
+
+}  // namespace
+
+WindowScene::WindowScene(const Data& data, const model::Calibration& calibration, std::size_t most_rows)
+    : data_(data) {
+  prior_mean_.setZero(3);
+  prior_sigma_.setConstant(3, std::numeric_limits<double>::infinity());
+  if (data.odometry.size() < 2 || data.ranges.empty()) return;
+  std::map<model::NodeId, std::uint32_t> tags;
+  for (const model::Tag& tag : data.tags) tags.emplace(tag.id, static_cast<std::uint32_t>(tags.size()));
+  std::map<std::pair<model::NodeId, model::NodeId>, std::uint32_t> pairs;
+  const double begin_s = data.odometry.front().t_s;
+  const double slice_s = (data.odometry.back().t_s - begin_s) / kSlices;
+  const std::size_t stride =
+      std::max<std::size_t>(1, data.ranges.size() / std::max<std::size_t>(1, most_rows));
+  std::map<long, std::vector<RangeRow>> windows;
+  // A prime beside the tags' and anchors' order in a cycle, so that thinning keeps all pairs.
+  const std::size_t step = stride > 1 && stride % 2 == 0 ? stride + 1 : stride;
+  for (std::size_t i = 0; i < data.ranges.size(); i += step) {
+    const model::RangeSample& range = data.ranges[i];
+    if (range.t_s < begin_s || range.t_s >= data.odometry.back().t_s) continue;
+    const model::AnchorCalibration* anchor = model::find_anchor(calibration, range.anchor_id);
+    if (anchor == nullptr || !model::has_position(*anchor) || !tags.contains(range.tag_id)) continue;
+    const auto bias = std::find_if(anchor->pairs.begin(), anchor->pairs.end(),
+                                   [&](const model::PairBias& pair) { return pair.tag_id == range.tag_id; });
+    if (bias == anchor->pairs.end() || !(bias->beta_sigma_m < kMostBetaSigma_m)) continue;
+    const auto [pair, is_new] = pairs.try_emplace({range.anchor_id, range.tag_id}, pairs_.size());
+    if (is_new) pairs_.push_back({anchor->position_m, model::values_of(*bias)});
+    const double since_s = range.t_s - begin_s;
+    windows[std::lround(std::floor(since_s / kWindowLength_s))].push_back(
+        {range.t_s, range.range_m, 0, tags.at(range.tag_id), pair->second,
+         static_cast<std::uint32_t>(std::min(kSlices - 1.0, since_s / slice_s))});
+  }
+  for (auto& [index, rows] : windows) {
+    if (rows.size() < kMinWindowRows) continue;
+    for (RangeRow& row : rows) {
+      row.block = static_cast<std::uint32_t>(windows_.size());
+      rows_.push_back(row);
+    }
+    windows_.push_back(begin_s + kWindowLength_s * static_cast<double>(index));
+  }
+}
+
+void WindowScene::reckon(double yaw_rate_scale) const {
+  path_.resize(data_.odometry.size());
+  path_.front() = {};
+  for (std::size_t i = 1; i < path_.size(); ++i) {
+    const model::OdometrySample& held = data_.odometry[i - 1];
+    const double dt_s = data_.odometry[i].t_s - held.t_s;
+    const double turn_rad = held.omega_radps / yaw_rate_scale * dt_s;
+    const Eigen::Rotation2Dd middle(path_[i - 1].heading_rad + 0.5 * turn_rad);
+    path_[i].position_m = path_[i - 1].position_m + middle * Eigen::Vector2d(held.vx_mps, held.vy_mps) * dt_s;
+    path_[i].heading_rad = path_[i - 1].heading_rad + turn_rad;
+  }
+  path_scale_ = yaw_rate_scale;
+}
+
+WindowScene::Reckoned WindowScene::at(double t_s, const Mistake& mistake) const {
+  const auto next = std::upper_bound(data_.odometry.begin(), data_.odometry.end(), t_s,
+                                     [](double t, const auto& sample) { return t < sample.t_s; });
+  if (next == data_.odometry.begin()) {
+    constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
+    return {{kNone, kNone}, kNone};
+  }
+  const model::OdometrySample& held = *std::prev(next);
+  Reckoned out = path_[static_cast<std::size_t>(std::prev(next) - data_.odometry.begin())];
+  const double dt_s = t_s - held.t_s;
+  const double turn_rad = held.omega_radps / mistake.yaw_rate_scale * dt_s;
+  out.position_m +=
+      Eigen::Rotation2Dd(out.heading_rad + 0.5 * turn_rad) * Eigen::Vector2d(held.vx_mps, held.vy_mps) * dt_s;
+  out.heading_rad += turn_rad;
+  return out;
+}
+
+Eigen::Vector3d WindowScene::antenna_m(const RangeRow& row, const Mistake& mistake) const {
+  if (path_scale_ != mistake.yaw_rate_scale) reckon(mistake.yaw_rate_scale);
+  const Reckoned begin = at(windows_[row.block], mistake);
+  const Reckoned now = at(mistake.clock.corrected_s(row.t_s), mistake);
+  const Eigen::Rotation2Dd back(-begin.heading_rad);
+  Eigen::Vector3d lever_arm_m = data_.tags[row.tag].lever_arm_m;
+  if (row.tag == mistake.tag) lever_arm_m -= mistake.lever_arm_m;
+  Eigen::Vector3d out;
+  out.head<2>() = back * (now.position_m - begin.position_m) / mistake.speed_scale +
+                  Eigen::Rotation2Dd(now.heading_rad - begin.heading_rad) * lever_arm_m.head<2>();
+  out.z() = lever_arm_m.z() - mistake.height_m;
+  return out;
+}
+
+double WindowScene::predict_m(const RangeRow& row, const Eigen::Vector3d& antenna_m,
+                              const Eigen::VectorXd& block, RangeDerivatives& out) const {
+  const Pair& pair = pairs_[row.anchor];
+  const double c = std::cos(block(2));
+  const double s = std::sin(block(2));
+  const Eigen::Vector2d turned_m(c * antenna_m.x() - s * antenna_m.y(),
+                                 s * antenna_m.x() + c * antenna_m.y());
+  const Eigen::Vector2d place_m = block.head<2>() + turned_m;
+  const Eigen::Vector3d way_m =
+      Eigen::Vector3d(place_m.x(), place_m.y(),
+                      antenna_m.z() + data_.surface.height_m(place_m.x(), place_m.y(), 0)) -
+      pair.anchor_m;
+  const double distance_m = std::max(way_m.norm(), 1e-6);
+  const double gamma = model::scale_of(pair.terms);
+  const Eigen::Vector3d by = (gamma / distance_m) * way_m;
+  out.antenna = {c * by.x() + s * by.y(), c * by.y() - s * by.x(), by.z()};
+  out.block << by.x(), by.y(), by.y() * turned_m.x() - by.x() * turned_m.y();
+  return gamma * distance_m + model::offset_m(pair.terms);
+}
+
+// For each of some headings the squares of the ranges are linear in the window's x, y and their square.
+std::vector<Eigen::VectorXd> WindowScene::starts(std::size_t /*block*/, std::span<const RangeRow> rows,
+                                                 std::span<const Eigen::Vector3d> antennas_m) const {
+  constexpr int kHeadings = 6;
+  std::vector<Eigen::VectorXd> out;
+  const auto n = static_cast<Eigen::Index>(rows.size());
+  Eigen::MatrixX3d j(n, 3);
+  Eigen::VectorXd y(n);
+  Eigen::VectorXd distance_m(n);
+  for (int k = 0; k < kHeadings; ++k) {
+    const double heading_rad = 2.0 * std::numbers::pi * k / kHeadings;
+    for (Eigen::Index i = 0; i < n; ++i) {
+      const auto index = static_cast<std::size_t>(i);
+      const Pair& pair = pairs_[rows[index].anchor];
+      Eigen::Vector3d q = antennas_m[index];
+      if (!q.allFinite()) q.setZero();
+      q.head<2>() = (Eigen::Rotation2Dd(heading_rad) * q.head<2>()).eval();
+      q -= pair.anchor_m;
+      q.z() += data_.surface.height_m(pair.anchor_m.x(), pair.anchor_m.y(), 0);
+      distance_m(i) =
+          std::max(0.1, (rows[index].range_m - model::offset_m(pair.terms)) / model::scale_of(pair.terms));
+      j.row(i) << 2.0 * q.x(), 2.0 * q.y(), 1.0;
+      y(i) = distance_m(i) * distance_m(i) - q.squaredNorm();
+    }
+    Eigen::VectorXd weight = distance_m.cwiseInverse();
+    Eigen::Vector3d solution = Eigen::Vector3d::Zero();
+    for (int round = 0; round < 4; ++round) {
+      solution = (weight.asDiagonal() * j).colPivHouseholderQr().solve(weight.cwiseProduct(y));
+      const Eigen::ArrayXd error_m = ((y - j * solution).array() / (2.0 * distance_m.array())).abs();
+      weight = (distance_m.array() * (0.2 + error_m).sqrt()).inverse();
+    }
+    out.emplace_back(Eigen::Vector3d(solution.x(), solution.y(), heading_rad));
+  }
+  return out;
+}
+
+}  // namespace groma::diagnosis

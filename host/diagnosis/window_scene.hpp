@@ -1,0 +1,59 @@
+// Ranges of a drive whose anchors are known and whose poses are not: dead reckoning in windows, each at an
+// unknown place.
+#pragma once
+
+#include <cstddef>
+#include <vector>
+
+#include <Eigen/Core>
+
+#include "host/diagnosis/data.hpp"
+#include "host/diagnosis/range_fit.hpp"
+#include "host/model/anchor_parameters.hpp"
+#include "host/model/calibration.hpp"
+
+namespace groma::diagnosis {
+
+// A block: x, y (m) and heading (rad) of the window's begin. Within a window, the odometry is integrated with
+// the scales of the mistake. `data` and `calibration` must outlive the scene.
+class WindowScene final : public Scene {
+ public:
+  // Ranges of pairs with a calibrated bias, evenly thinned to about most_rows.
+  WindowScene(const Data& data, const model::Calibration& calibration, std::size_t most_rows);
+
+  [[nodiscard]] std::span<const RangeRow> rows() const override { return rows_; }
+  [[nodiscard]] std::size_t block_count() const override { return windows_.size(); }
+  [[nodiscard]] Eigen::Vector3d antenna_m(const RangeRow& row, const Mistake& mistake) const override;
+  [[nodiscard]] double predict_m(const RangeRow& row, const Eigen::Vector3d& antenna_m,
+                                 const Eigen::VectorXd& block, RangeDerivatives& out) const override;
+  [[nodiscard]] const Eigen::VectorXd& prior_mean() const override { return prior_mean_; }
+  [[nodiscard]] const Eigen::VectorXd& prior_sigma() const override { return prior_sigma_; }
+  [[nodiscard]] std::vector<Eigen::VectorXd> starts(
+      std::size_t block, std::span<const RangeRow> rows,
+      std::span<const Eigen::Vector3d> antennas_m) const override;
+
+ private:
+  struct Pair {
+    Eigen::Vector3d anchor_m;
+    model::TermVector terms;
+  };
+  // Dead reckoning from the drive's begin, at each odometry sample.
+  struct Reckoned {
+    Eigen::Vector2d position_m = Eigen::Vector2d::Zero();
+    double heading_rad = 0.0;
+  };
+  [[nodiscard]] Reckoned at(double t_s, const Mistake& mistake) const;
+  void reckon(double yaw_rate_scale) const;
+
+  const Data& data_;
+  std::vector<RangeRow> rows_;
+  std::vector<double> windows_;  // begin of each, s
+  std::vector<Pair> pairs_;      // RangeRow::anchor is the index here
+  Eigen::VectorXd prior_mean_;
+  Eigen::VectorXd prior_sigma_;
+  // The path with the yaw-rate scale that was asked for last.
+  mutable std::vector<Reckoned> path_;
+  mutable double path_scale_ = 0.0;
+};
+
+}  // namespace groma::diagnosis

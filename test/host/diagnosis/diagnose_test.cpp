@@ -1,0 +1,203 @@
+// The diagnosis names each mistake in a small drive, with its size, and nothing in a good one.
+#include "host/diagnosis/diagnose.hpp"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <nlohmann/json.hpp>
+
+#include "host/calibration/association.hpp"
+#include "test/host/diagnosis/mistakes.hpp"
+#include "test/support/small_run.hpp"
+
+namespace groma::diagnosis {
+namespace {
+
+// The small run's robot moves along its heading. Here base_link swings about that, so that it also moves
+// sideways.
+double swing_rad(double t_s) {
+  return 0.35 * std::sin(0.7 * t_s);
+}
+
+Data small_drive(std::uint64_t seed) {
+  constexpr double kStep_s = 0.05;
+  io::Dataset run = test::make_small_run(32.0, seed);
+  for (model::OdometrySample& sample : run.odometry) {
+    const double now_rad = swing_rad(sample.t_s);
+    const double turn_rad = swing_rad(sample.t_s + kStep_s) - now_rad;
+    const Eigen::Vector2d velocity_mps =
+        Eigen::Rotation2Dd(-now_rad - 0.5 * turn_rad) * Eigen::Vector2d(sample.vx_mps, sample.vy_mps);
+    sample.vx_mps = velocity_mps.x();
+    sample.vy_mps = velocity_mps.y();
+    sample.omega_radps += turn_rad / kStep_s;
+  }
+  const std::vector<model::PoseSample> along = run.ground_truth;
+  for (model::PoseSample& pose : run.pose_prior)
+    pose.yaw_rad = model::wrap_angle(pose.yaw_rad + swing_rad(pose.t_s));
+  // The tags swing with base_link.
+  for (model::RangeSample& range : run.ranges) {
+    const auto next =
+        std::find_if(along.begin(), along.end(), [&](const auto& pose) { return pose.t_s > range.t_s; });
+    if (next == along.begin() || next == along.end()) continue;
+    const model::RigidPose pose = calibration::interpolate_pose(
+        *std::prev(next), *next, (range.t_s - std::prev(next)->t_s) / kStep_s, run.surface);
+    const Eigen::Vector3d lever_arm_m = run.tags[range.tag_id - 1U].lever_arm_m;
+    const Eigen::Vector3d swung_m =
+        Eigen::AngleAxisd(swing_rad(range.t_s), Eigen::Vector3d::UnitZ()) * lever_arm_m;
+    const Eigen::Vector3d anchor_m = run.surveyed_anchors[range.anchor_id - 4U].position_m;
+    const auto distance_m = [&](const Eigen::Vector3d& arm_m) {
+      return (pose.position_m + pose.rotation * arm_m - anchor_m).norm();
+    };
+    range.range_m += distance_m(swung_m) - distance_m(lever_arm_m);
+  }
+  return data_of(run);
+}
+
+std::vector<std::string> causes_of(const std::vector<Finding>& findings) {
+  std::vector<std::string> out;
+  for (const Finding& finding : findings) out.emplace_back(finding.cause);
+  return out;
+}
+
+class DiagnoseTest : public testing::TestWithParam<test::MistakeMade> {};
+
+TEST_P(DiagnoseTest, NamesTheMistakeAndItsSizeAndNothingElse) {
+  Data data = small_drive(1);
+  GetParam().make(data);
+  const std::vector<Finding> findings = diagnose(std::move(data));
+  ASSERT_THAT(causes_of(findings), testing::ElementsAre(GetParam().cause));
+  const Finding& finding = findings.front();
+  EXPECT_FALSE(finding.evidence.empty());
+  EXPECT_FALSE(finding.remedy.empty());
+  ASSERT_EQ(finding.value.size(), GetParam().value.size());
+  for (std::size_t i = 0; i < finding.value.size(); ++i) {
+    const double sigma = finding.sigma.empty() ? 1e-3 * std::abs(GetParam().value[i]) : finding.sigma[i];
+    EXPECT_NEAR(finding.value[i], GetParam().value[i], 4.0 * sigma);
+  }
+}
+
+INSTANTIATE_TEST_SUITE_P(Mistakes, DiagnoseTest,
+                         testing::Values(test::clock_offset(0.25), test::pose_clock_offset(-0.25),
+                                         test::odometry_clock_offset(0.25), test::clock_drift(0.01),
+                                         test::time_overlap(), test::time_unit(1e3), test::length_unit(1e3),
+                                         test::angle_unit(), test::heading_offset(1.5708),
+                                         test::heading_sign(), test::lateral_sign(), test::yaw_rate_sign(),
+                                         test::yaw_rate_scale(1.1), test::odometry_scale(0.9),
+                                         test::swapped_tags(), test::lever_arm({0.5, 0.0, 0.0}),
+                                         test::surface_height(0.5), test::odometry_of_another_drive(),
+                                         test::unknown_tag(), test::unknown_anchor(),
+                                         test::renumbered_anchors(), test::another_site()),
+                         [](const auto& made) {
+                           std::string name = made.param.cause + "_" + made.param.name;
+                           std::erase_if(name, [](char c) { return c == '\''; });
+                           std::replace_if(
+                               name.begin(), name.end(), [](char c) { return c == ' ' || c == '-'; }, '_');
+                           return name;
+                         });
+
+TEST(Diagnose, NamesNothingInAGoodDrive) {
+  for (const std::uint64_t seed : {1U, 2U}) {
+    EXPECT_THAT(causes_of(diagnose(small_drive(seed))), testing::IsEmpty()) << "seed " << seed;
+  }
+}
+
+TEST(Diagnose, AThirdOfASizeThatMattersIsNotNamed) {
+  for (const test::MistakeMade& made : {test::clock_offset(0.033), test::lever_arm({0.1, 0.0, 0.0}),
+                                        test::odometry_scale(1.0 + 0.05 / 3.0)}) {
+    Data data = small_drive(3);
+    made.make(data);
+    EXPECT_THAT(causes_of(diagnose(std::move(data))), testing::IsEmpty()) << made.cause;
+  }
+}
+
+TEST(Diagnose, NamesTwoMistakesAtOnce) {
+  Data data = small_drive(4);
+  test::swapped_tags().make(data);
+  test::clock_offset(0.4).make(data);
+  EXPECT_THAT(causes_of(diagnose(std::move(data))),
+              testing::UnorderedElementsAre("swapped-tags", "clock-offset"));
+}
+
+TEST(Diagnose, WithoutOdometryTheRangesShowTheHeading) {
+  Data data = small_drive(5);
+  data.odometry.clear();
+  test::heading_offset(0.5 * std::numbers::pi).make(data);
+  EXPECT_THAT(causes_of(diagnose(std::move(data))), testing::ElementsAre("heading-offset"));
+}
+
+model::Calibration surveyed(const Data& data) {
+  model::Calibration calibration = model::surveyed_calibration(data.anchors, data.tags, data.priors, 0.02);
+  for (model::AnchorCalibration& anchor : calibration.anchors) {
+    for (model::PairBias& pair : anchor.pairs) {
+      pair.beta_m = test::small_run_beta_m(pair.tag_id, anchor.id);
+      pair.beta_sigma_m = 0.02;
+    }
+  }
+  return calibration;
+}
+
+class DiagnoseWithCalibrationTest : public testing::TestWithParam<test::MistakeMade> {};
+
+TEST_P(DiagnoseWithCalibrationTest, NamesTheMistakeWithoutPoses) {
+  Data data = small_drive(7);
+  const model::Calibration calibration = surveyed(data);
+  GetParam().make(data);
+  data.poses.clear();
+  const std::vector<Finding> findings = diagnose(std::move(data), calibration);
+  ASSERT_THAT(causes_of(findings), testing::ElementsAre(GetParam().cause));
+  for (std::size_t i = 0; i < findings.front().value.size(); ++i) {
+    EXPECT_NEAR(findings.front().value[i], GetParam().value[i], 4.0 * findings.front().sigma[i]);
+  }
+}
+
+INSTANTIATE_TEST_SUITE_P(Mistakes, DiagnoseWithCalibrationTest,
+                         testing::Values(test::clock_offset(0.25), test::yaw_rate_sign(),
+                                         test::swapped_tags(), test::tags_too_high(0.5)),
+                         [](const auto& made) {
+                           std::string name = made.param.cause;
+                           std::replace(name.begin(), name.end(), '-', '_');
+                           return name;
+                         });
+
+TEST(Diagnose, WithACalibrationNamesNothingInAGoodDrive) {
+  Data data = small_drive(8);
+  const model::Calibration calibration = surveyed(data);
+  EXPECT_THAT(causes_of(diagnose(std::move(data), calibration)), testing::IsEmpty());
+}
+
+// Biases at their priors are not known; a mistake would explain them.
+TEST(Diagnose, WithSurveyedAnchorsAloneNamesNothing) {
+  Data data = small_drive(9);
+  const model::Calibration calibration =
+      model::surveyed_calibration(data.anchors, data.tags, data.priors, 0.02);
+  EXPECT_THAT(causes_of(diagnose(std::move(data), calibration)), testing::IsEmpty());
+}
+
+TEST(Diagnose, OfNothingNamesNothing) {
+  Data data = small_drive(6);
+  data.poses.clear();
+  EXPECT_THAT(diagnose(data), testing::IsEmpty());
+  data.ranges.clear();
+  data.odometry.clear();
+  EXPECT_THAT(diagnose(std::move(data)), testing::IsEmpty());
+}
+
+TEST(Finding, IsAnObjectWithWhatIsKnown) {
+  const std::vector findings{Finding{.cause = "lever-arm",
+                                     .evidence = "e",
+                                     .remedy = "r",
+                                     .value = {0.1, 0.2, 0.3},
+                                     .sigma = {0.01, 0.01, 0.02},
+                                     .of = {3}},
+                             Finding{.cause = "clock-offset", .evidence = "e", .remedy = "r", .value = {0.5}},
+                             map_mismatch(0.5)};
+  const auto json = to_json(findings);
+  EXPECT_EQ(json[0]["value"], (std::vector<double>{0.1, 0.2, 0.3}));
+  EXPECT_EQ(json[0]["of"], (std::vector<int>{3}));
+  EXPECT_EQ(json[1]["value"], 0.5);
+  EXPECT_FALSE(json[1].contains("sigma"));
+  EXPECT_FALSE(json[2].contains("value"));
+}
+
+}  // namespace
+}  // namespace groma::diagnosis
