@@ -319,7 +319,7 @@ TEST(SimCommand, AMissingScenarioOrOptionEndsItAtOnce) {
   const std::string ports = scratch / "ports";
   const auto missing =
       test::run_child({GROMA_EXECUTABLE, "sim", "--scenario", scratch / "none.yaml", "--ports", ports});
-  EXPECT_EQ(missing.exit_code, 65);
+  EXPECT_EQ(missing.exit_code, 78);
   EXPECT_THAT(missing.err, HasSubstr("none.yaml"));
   EXPECT_EQ(test::run_child({GROMA_EXECUTABLE, "sim", "--ports", ports}).exit_code, 2);
   EXPECT_EQ(test::run_child({GROMA_EXECUTABLE, "sim", "--scenario", scenario("open_field.yaml"), "--speed",
