@@ -18,6 +18,9 @@ namespace {
 constexpr double kWindowLength_s = 10.0;
 // A window with fewer ranges does not determine its place.
 constexpr std::size_t kMinWindowRows = 12;
+// By hand: with fewer, slow NLOS errors of a few anchors look like a mistake (a drift on 30 s of a good
+// drive).
+constexpr std::size_t kMinReckonedWindows = 6;
 
 // Pairs whose bias is less certain, such as those of surveyed anchors, would be explained by a mistake. By
 // hand: a third of the lever arm that is named.
@@ -63,6 +66,7 @@ WindowScene::WindowScene(const Data& data, const model::Calibration& calibration
     }
     windows_.push_back(begin_s + kWindowLength_s * static_cast<double>(index));
   }
+  if (windows_.size() < kMinReckonedWindows) rows_.clear();
 }
 
 void WindowScene::reckon(double yaw_rate_scale) const {

@@ -19,9 +19,9 @@ double swing_rad(double t_s) {
   return 0.35 * std::sin(0.7 * t_s);
 }
 
-Data small_drive(std::uint64_t seed) {
+Data small_drive(std::uint64_t seed, double duration_s = 32.0) {
   constexpr double kStep_s = 0.05;
-  io::Dataset run = test::make_small_run(32.0, seed);
+  io::Dataset run = test::make_small_run(duration_s, seed);
   for (model::OdometrySample& sample : run.odometry) {
     const double now_rad = swing_rad(sample.t_s);
     const double turn_rad = swing_rad(sample.t_s + kStep_s) - now_rad;
@@ -136,10 +136,13 @@ model::Calibration surveyed(const Data& data) {
   return calibration;
 }
 
+// Without poses a drive has to be longer.
+constexpr double kLonger_s = 64.0;
+
 class DiagnoseWithCalibrationTest : public testing::TestWithParam<test::MistakeMade> {};
 
 TEST_P(DiagnoseWithCalibrationTest, NamesTheMistakeWithoutPoses) {
-  Data data = small_drive(7);
+  Data data = small_drive(7, kLonger_s);
   const model::Calibration calibration = surveyed(data);
   GetParam().make(data);
   data.poses.clear();
@@ -160,14 +163,14 @@ INSTANTIATE_TEST_SUITE_P(Mistakes, DiagnoseWithCalibrationTest,
                          });
 
 TEST(Diagnose, WithACalibrationNamesNothingInAGoodDrive) {
-  Data data = small_drive(8);
+  Data data = small_drive(8, kLonger_s);
   const model::Calibration calibration = surveyed(data);
   EXPECT_THAT(causes_of(diagnose(std::move(data), calibration)), testing::IsEmpty());
 }
 
 // Biases at their priors are not known; a mistake would explain them.
 TEST(Diagnose, WithSurveyedAnchorsAloneNamesNothing) {
-  Data data = small_drive(9);
+  Data data = small_drive(9, kLonger_s);
   const model::Calibration calibration =
       model::surveyed_calibration(data.anchors, data.tags, data.priors, 0.02);
   EXPECT_THAT(causes_of(diagnose(std::move(data), calibration)), testing::IsEmpty());
