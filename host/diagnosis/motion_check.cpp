@@ -18,7 +18,8 @@ namespace {
 // A hypothesis with one scalar that is estimated; `neutral` is its value without a mistake.
 template <class Make>
 Hypothesis scalar(double neutral, double least, double systematic, Make make_mistake, std::string_view cause,
-                  std::string evidence, std::string remedy, std::function<void(double, Data&)> correct) {
+                  const std::string& evidence, const std::string& remedy,
+                  std::function<void(double, Data&)> correct) {
   Hypothesis out;
   Parameters parameters;
   parameters.start = Eigen::VectorXd::Constant(1, neutral);
@@ -41,8 +42,8 @@ Hypothesis scalar(double neutral, double least, double systematic, Make make_mis
   return out;
 }
 
-Hypothesis changed(std::function<void(Data&)> change, std::string_view cause, std::string evidence,
-                   std::string remedy) {
+Hypothesis changed(std::function<void(Data&)> change, std::string_view cause, const std::string& evidence,
+                   const std::string& remedy) {
   Hypothesis out;
   out.penalty = kDiscretePenalty;
   out.change = std::move(change);

@@ -208,8 +208,8 @@ TEST_F(CliTest, EachKeyIsDocumented) {
   const std::filesystem::path reference = std::filesystem::path(GROMA_SOURCE_DIR) / "docs" / "reference";
   const std::string commands = read_text(reference / "commands.md");
   const auto expect_documented = [&](const ChildResult& result) {
-    for (const auto& [key, value] : json::parse(result.out).items())
-      EXPECT_THAT(commands, HasSubstr("`" + key + "`"));
+    const json object = json::parse(result.out);
+    for (const auto& [key, value] : object.items()) EXPECT_THAT(commands, HasSubstr("`" + key + "`"));
   };
   expect_documented(calibrate({"--json"}));
   expect_documented(replay_calibrated({"--json"}));

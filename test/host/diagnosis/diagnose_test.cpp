@@ -55,6 +55,7 @@ Data small_drive(std::uint64_t seed, double duration_s = 32.0) {
 
 std::vector<std::string> causes_of(const std::vector<Finding>& findings) {
   std::vector<std::string> out;
+  out.reserve(findings.size());
   for (const Finding& finding : findings) out.emplace_back(finding.cause);
   return out;
 }
