@@ -137,7 +137,8 @@ void Chart::add_line(const std::string& name, Ink ink, std::vector<Vector2d> poi
   lines_.push_back({name, ink, placed(std::move(points)), {}, stroke});
 }
 
-void Chart::add_path(const std::string& name, Ink ink, std::vector<Eigen::Vector3d> points, Stroke stroke) {
+void Chart::add_path(const std::string& name, Ink ink, const std::vector<Eigen::Vector3d>& points,
+                     Stroke stroke) {
   std::vector<Vector2d> places;
   std::vector<double> times_s;
   places.reserve(points.size());

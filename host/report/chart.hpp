@@ -84,7 +84,7 @@ class Chart {
   void add_line(const std::string& name, Ink ink, std::vector<Eigen::Vector2d> points,
                 Stroke stroke = Stroke::kThin);
   // A line on a map with the time of each point (x, y, t_s), which the reader sees under the pointer.
-  void add_path(const std::string& name, Ink ink, std::vector<Eigen::Vector3d> points,
+  void add_path(const std::string& name, Ink ink, const std::vector<Eigen::Vector3d>& points,
                 Stroke stroke = Stroke::kThin);
   // Separate strokes, such as walls.
   void add_strokes(const std::string& name, Ink ink,

@@ -288,6 +288,7 @@ void add_nees(Page& page, const std::vector<evaluation::PoseError>& errors) {
 
 std::vector<model::NodeId> tags_of(const std::vector<RangeRow>& ranges) {
   std::vector<model::NodeId> tags;
+  tags.reserve(ranges.size());
   for (const RangeRow& range : ranges) tags.push_back(range.tag_id);
   std::sort(tags.begin(), tags.end());
   tags.erase(std::unique(tags.begin(), tags.end()), tags.end());
@@ -420,6 +421,7 @@ std::map<model::NodeId, AnchorCorrection> corrections(const std::vector<RangeRow
 
 std::vector<std::string> names_of(const std::map<model::NodeId, AnchorCorrection>& anchors) {
   std::vector<std::string> names;
+  names.reserve(anchors.size());
   for (const auto& [anchor, of] : anchors) names.push_back(fmt::format("{}", anchor));
   return names;
 }
