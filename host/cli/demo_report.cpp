@@ -80,7 +80,7 @@ void add_map(Page& page, const sim::Scenario& scenario, const simulation::DemoRe
       next_s = row.t_s + kEllipseEvery_s;
       ellipses.push_back({{row.x_m, row.y_m}, row.covariance.topLeftCorner<2, 2>()});
     }
-    map.add_path("second drive, estimate", Ink::kEstimate, std::move(points));
+    map.add_path("second drive, estimate", Ink::kEstimate, points);
     map.add_ellipses("95 % of the estimate", Ink::kEstimate, std::move(ellipses));
     report::add_course(map, run->estimate, Ink::kEstimate);
   }

@@ -221,7 +221,7 @@ void add_path(Chart& map, const calibration::Drive& drive, const calibration::Re
     last_part = part;
   }
   for (auto& [name, ink, line] : parts) {
-    if (!line.empty()) map.add_path(name, ink, std::move(line));
+    if (!line.empty()) map.add_path(name, ink, line);
   }
 }
 
