@@ -7,7 +7,6 @@
 #include <utility>
 
 #include <Eigen/Eigenvalues>
-#include <Eigen/QR>
 
 #include "host/calibration/association.hpp"
 #include "host/diagnosis/thresholds.hpp"
@@ -85,7 +84,7 @@ double AnchorScene::predict_m(const RangeRow& row, const Eigen::Vector3d& antenn
 // The range's square is linear in the anchor's x, y and the square of its distance, if all antennas are at
 // one height: iteratively reweighted least squares. The height above them has two signs, and an anchor beside
 // a straight drive two sides.
-std::vector<Eigen::VectorXd> AnchorScene::starts(std::size_t /*block*/, std::span<const RangeRow> rows,
+std::vector<Eigen::VectorXd> AnchorScene::starts(std::span<const RangeRow> rows,
                                                  std::span<const Eigen::Vector3d> antennas_m) const {
   Eigen::Vector3d middle_m = Eigen::Vector3d::Zero();
   std::vector<std::size_t> known;
@@ -109,13 +108,7 @@ std::vector<Eigen::VectorXd> AnchorScene::starts(std::size_t /*block*/, std::spa
     y(i) = distance_m(i) * distance_m(i) - p.squaredNorm();
     spread += p.head<2>() * p.head<2>().transpose();
   }
-  Eigen::VectorXd weight = distance_m.cwiseInverse();
-  Eigen::Vector3d solution = Eigen::Vector3d::Zero();
-  for (int round = 0; round < 6; ++round) {
-    solution = (weight.asDiagonal() * j).colPivHouseholderQr().solve(weight.cwiseProduct(y));
-    const Eigen::ArrayXd error_m = ((y - j * solution).array() / (2.0 * distance_m.array())).abs();
-    weight = (distance_m.array() * (0.2 + error_m).sqrt()).inverse();
-  }
+  const Eigen::Vector3d solution = laterate(j, y, distance_m, 6);
   const double height_m = std::sqrt(std::max(0.1, solution.z() - solution.head<2>().squaredNorm()));
   const Eigen::SelfAdjointEigenSolver<Eigen::Matrix2d> axes(spread);
   const Eigen::Vector2d across = axes.eigenvectors().col(0);

@@ -18,25 +18,18 @@ class AnchorScene final : public Scene {
   // Evenly thinned to at most most_rows ranges, but to no fewer than 20 a pair.
   AnchorScene(const Data& data, std::size_t most_rows);
 
-  [[nodiscard]] std::span<const RangeRow> rows() const override { return rows_; }
   [[nodiscard]] std::size_t block_count() const override { return anchors_.size(); }
   // Of each block.
   [[nodiscard]] const std::vector<model::NodeId>& anchors() const noexcept { return anchors_; }
   [[nodiscard]] Eigen::Vector3d antenna_m(const RangeRow& row, const Mistake& mistake) const override;
   [[nodiscard]] double predict_m(const RangeRow& row, const Eigen::Vector3d& antenna_m,
                                  const Eigen::VectorXd& block, RangeDerivatives& out) const override;
-  [[nodiscard]] const Eigen::VectorXd& prior_mean() const override { return prior_mean_; }
-  [[nodiscard]] const Eigen::VectorXd& prior_sigma() const override { return prior_sigma_; }
   [[nodiscard]] std::vector<Eigen::VectorXd> starts(
-      std::size_t block, std::span<const RangeRow> rows,
-      std::span<const Eigen::Vector3d> antennas_m) const override;
+      std::span<const RangeRow> rows, std::span<const Eigen::Vector3d> antennas_m) const override;
 
  private:
   const Data& data_;
-  std::vector<RangeRow> rows_;
   std::vector<model::NodeId> anchors_;
-  Eigen::VectorXd prior_mean_;
-  Eigen::VectorXd prior_sigma_;
 };
 
 }  // namespace groma::diagnosis

@@ -25,6 +25,11 @@ void append(std::vector<Finding> more, std::vector<Finding>& findings) {
   }
 }
 
+bool times_overlap(const std::vector<Finding>& findings) {
+  return std::none_of(findings.begin(), findings.end(),
+                      [](const Finding& finding) { return finding.cause == "time-overlap"; });
+}
+
 // Where ranges and odometry agree on the poses' clock, the poses' clock is wrong, once.
 void join_clocks(std::vector<Finding>& of_odometry, const std::vector<Finding>& of_ranges) {
   for (const Finding& ranges : of_ranges) {
@@ -59,10 +64,8 @@ Data data_of(const io::Dataset& dataset) {
 
 std::vector<Finding> diagnose(Data data) {
   std::vector<Finding> findings = find_wrong_times(data);
-  const bool overlaps = std::none_of(findings.begin(), findings.end(),
-                                     [](const Finding& finding) { return finding.cause == "time-overlap"; });
   append(find_wrong_angles(data), findings);
-  if (overlaps) {
+  if (times_overlap(findings)) {
     append(find_wrong_lengths(data), findings);
     OdometryComparison odometry = compare_with_odometry(data);
     std::vector<Finding> ranges = compare_with_poses(data, odometry.explains);
@@ -79,9 +82,7 @@ std::vector<Finding> diagnose(Data data) {
 std::vector<Finding> diagnose(Data data, const model::Calibration& calibration) {
   data.poses.clear();
   std::vector<Finding> findings = find_wrong_times(data);
-  const bool overlaps = std::none_of(findings.begin(), findings.end(),
-                                     [](const Finding& finding) { return finding.cause == "time-overlap"; });
-  if (overlaps) append(compare_with_calibration(data, calibration), findings);
+  if (times_overlap(findings)) append(compare_with_calibration(data, calibration), findings);
   append(find_unknown_nodes(data), findings);
   return findings;
 }

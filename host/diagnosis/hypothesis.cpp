@@ -242,6 +242,21 @@ Hypothesis heading_sign() {
   return out;
 }
 
+std::vector<Hypothesis> of_clock_and_tags(const Data& data, const MakeScene& make_scene,
+                                          std::string_view reference) {
+  const double offset_s = best_offset_s(data, make_scene);
+  std::vector<Hypothesis> out{
+      clock_offset(offset_s, reference),
+      clock_drift(offset_s, data.ranges.front().t_s, data.ranges.back().t_s, reference),
+  };
+  for (std::size_t a = 0; a < data.tags.size(); ++a) {
+    for (std::size_t b = a + 1; b < data.tags.size(); ++b) out.push_back(swapped_tags(a, b, data));
+  }
+  for (std::size_t tag = 0; tag < data.tags.size(); ++tag) out.push_back(wrong_lever_arm(tag, data));
+  out.push_back(mirrored_tags());
+  return out;
+}
+
 // The likeliest hypothesis, if the ranges are clearly likelier under it than as given; corrected in the data.
 static std::optional<Finding> find_likeliest(Data& data, const MakeScene& make_scene,
                                              const MakeHypotheses& hypotheses_of) {
@@ -253,11 +268,14 @@ static std::optional<Finding> find_likeliest(Data& data, const MakeScene& make_s
   double best_gain = kLeastGain;
   std::optional<Data> corrected;
   for (const Hypothesis& hypothesis : hypotheses_of(data)) {
-    Data changed = data;
-    hypothesis.change(changed);
-    const auto changed_scene = make_scene(changed, kMostRows);
+    std::optional<Data> changed;
+    std::unique_ptr<Scene> changed_scene;
+    if (hypothesis.change) {
+      hypothesis.change(changed.emplace(data));
+      changed_scene = make_scene(*changed, kMostRows);
+    }
     for (const Parameters& start : hypothesis.starts) {
-      const RangeFit fit = fit_ranges(*changed_scene, start, given.blocks);
+      const RangeFit fit = fit_ranges(changed_scene ? *changed_scene : *scene, start, given.blocks);
       const double penalty = hypothesis.penalty + kGainPerParameter * static_cast<double>(start.start.size());
       if (given.cost - fit.cost - penalty < best_gain || 2 * fit.rows < given.rows) continue;
       // The nuisance parameters may be better where the hypothesis has put them, without it too.
@@ -269,7 +287,7 @@ static std::optional<Finding> find_likeliest(Data& data, const MakeScene& make_s
       if (!finding || share_of_slices(fit, given) < kMinSlices) continue;
       best = std::move(finding);
       best_gain = gain;
-      corrected = changed;
+      corrected = changed ? *changed : data;
       hypothesis.correct(fit, *corrected);
     }
   }

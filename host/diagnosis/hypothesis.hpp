@@ -19,7 +19,7 @@ namespace groma::diagnosis {
 inline constexpr double kDiscretePenalty = 0.1;
 
 struct Hypothesis {
-  std::function<void(Data&)> change = [](Data&) {};  // of the data, before the fit
+  std::function<void(Data&)> change;  // of the data, before the fit; may be empty
   std::vector<Parameters> starts{Parameters{}};
   double penalty = 0.0;  // beside that of its parameters
   // The finding, if the error is large and certain enough to be named.
@@ -44,6 +44,10 @@ struct Hypothesis {
 // Ranges with their unknowns, thinned to about most_rows; the data outlives the scene.
 using MakeScene = std::function<std::unique_ptr<Scene>(const Data&, std::size_t most_rows)>;
 using MakeHypotheses = std::function<std::vector<Hypothesis>(const Data&)>;
+
+// Those of the ranges' clock and the tags' places.
+[[nodiscard]] std::vector<Hypothesis> of_clock_and_tags(const Data& data, const MakeScene& make_scene,
+                                                        std::string_view reference);
 
 // The clock offset under which a few ranges fit best, of a grid that is dense near zero. By hand: up to half
 // a minute.

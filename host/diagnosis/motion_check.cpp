@@ -106,15 +106,10 @@ std::vector<Finding> compare_with_calibration(Data& data, const model::Calibrati
     return std::make_unique<WindowScene>(now, calibration, most_rows);
   };
   return find_mistakes(data, make_scene, [&](const Data& now) {
-    const double offset_s = best_offset_s(now, make_scene);
     std::vector<Hypothesis> out = of_odometry();
-    out.push_back(clock_offset(offset_s, "odometry"));
-    out.push_back(clock_drift(offset_s, now.ranges.front().t_s, now.ranges.back().t_s, "odometry"));
-    for (std::size_t a = 0; a < now.tags.size(); ++a) {
-      for (std::size_t b = a + 1; b < now.tags.size(); ++b) out.push_back(swapped_tags(a, b, now));
+    for (Hypothesis& hypothesis : of_clock_and_tags(now, make_scene, "odometry")) {
+      out.push_back(std::move(hypothesis));
     }
-    for (std::size_t tag = 0; tag < now.tags.size(); ++tag) out.push_back(wrong_lever_arm(tag, now));
-    out.push_back(mirrored_tags());
     out.push_back(surface_height());
     return out;
   });

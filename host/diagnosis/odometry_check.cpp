@@ -350,10 +350,11 @@ class Naming {
     const double error = std::abs(estimate_.at(unknown) - neutral);
     return error > least && error > kSignificance * estimate_.sigma(unknown);
   }
-  void add(std::string_view cause, std::string evidence, std::string remedy, double value,
-           std::optional<double> sigma = std::nullopt) {
-    Finding& finding = findings.emplace_back(Finding{
-        .cause = cause, .evidence = std::move(evidence), .remedy = std::move(remedy), .value = {value}});
+  void add(std::string_view cause, std::string evidence, std::string remedy,
+           std::optional<double> value = std::nullopt, std::optional<double> sigma = std::nullopt) {
+    Finding& finding = findings.emplace_back(
+        Finding{.cause = cause, .evidence = std::move(evidence), .remedy = std::move(remedy)});
+    if (value) finding.value = {*value};
     if (sigma) finding.sigma = {*sigma};
   }
   [[nodiscard]] double sigma(Eigen::Index unknown, double systematic) const {
@@ -392,8 +393,7 @@ class Naming {
     const double offset_rad = model::wrap_angle(estimate_.at(kHeading));
     if (flipped) {
       add("heading-sign", "the poses' heading and the robot's motion agree if the heading changes its sign",
-          "count the yaw of the poses counter-clockwise, from above", -1.0);
-      findings.back().value.clear();
+          "count the yaw of the poses counter-clockwise, from above");
       for (model::PoseSample& pose : data.poses) pose.yaw_rad = -pose.yaw_rad;
     }
     if (!differs(kHeading, 0.0, kLeastHeading_rad)) return;
@@ -406,33 +406,28 @@ class Naming {
   }
 
   void name_odometry(Data& data, bool flipped_lateral) {
+    const std::size_t before = findings.size();
     if (flipped_lateral) {
       add("lateral-sign", "the odometry's lateral speed and the poses' agree if it changes its sign",
-          "count vy_mps positive to the left", -1.0);
-      findings.back().value.clear();
-      findings.back().is_of_odometry_alone = true;
+          "count vy_mps positive to the left");
       for (model::OdometrySample& sample : data.odometry) sample.vy_mps = -sample.vy_mps;
     }
     const double yaw_scale = estimate_.at(kYawScale);
     const double size = std::abs(yaw_scale);
     if (yaw_scale < 0.0 && differs(kYawScale, 0.0, 0.2)) {
       add("yaw-rate-sign", "the odometry turns the other way than the poses",
-          "count omega_radps positive to the left (counter-clockwise, from above)", -1.0);
-      findings.back().value.clear();
-      findings.back().is_of_odometry_alone = true;
+          "count omega_radps positive to the left (counter-clockwise, from above)");
     }
     // By hand: a yaw rate is named before its scale only if it is nearly that of the unit.
     if (std::abs(std::log(size / kDegrees.factor)) < 0.3) {
       add("angle-unit",
           fmt::format("the odometry turns {:.1f} times as fast as the poses: it is in degrees", size),
           "give omega_radps in radians per second", kDegrees.factor);
-      findings.back().is_of_odometry_alone = true;
     } else if (std::abs(size - 1.0) > kLeastScale &&
                std::abs(size - 1.0) > kSignificance * estimate_.sigma(kYawScale)) {
       add("yaw-rate-scale", fmt::format("the odometry turns {:.3f} times as fast as the poses", size),
           fmt::format("divide omega_radps by {:.3f}, or check the track width", size), size,
           sigma(kYawScale, kScaleSystematic));
-      findings.back().is_of_odometry_alone = true;
     }
     const double speed_scale = estimate_.at(kSpeedScale);
     if (const auto unit = unit_of(kLengthUnits, speed_scale, 0.1)) {
@@ -440,13 +435,12 @@ class Naming {
           fmt::format("the odometry moves {:.3g} times as far as the poses: it is in {}", speed_scale,
                       unit->name),
           "give vx_mps and vy_mps in metres per second", unit->factor);
-      findings.back().is_of_odometry_alone = true;
     } else if (differs(kSpeedScale, 1.0, kLeastScale)) {
       add("odometry-scale", fmt::format("the odometry moves {:.3f} times as far as the poses", speed_scale),
           fmt::format("divide vx_mps and vy_mps by {:.3f}, or check the wheels' diameter", speed_scale),
           speed_scale, sigma(kSpeedScale, kScaleSystematic));
-      findings.back().is_of_odometry_alone = true;
     }
+    for (std::size_t i = before; i < findings.size(); ++i) findings[i].is_of_odometry_alone = true;
     for (model::OdometrySample& sample : data.odometry) {
       sample.vx_mps /= speed_scale;
       sample.vy_mps /= speed_scale;

@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include <Eigen/Cholesky>
+#include <Eigen/QR>
 
 #include "host/diagnosis/student.hpp"
 
@@ -111,7 +112,7 @@ class Fitter {
     const BlockRange range = ranges_[b];
     const std::size_t size = range.end - range.begin;
     std::vector<Eigen::VectorXd> starts =
-        scene_.starts(b, rows_.subspan(range.begin, size), std::span(antennas_).subspan(range.begin, size));
+        scene_.starts(rows_.subspan(range.begin, size), std::span(antennas_).subspan(range.begin, size));
     if (earlier != nullptr) starts.push_back(*earlier);
     Eigen::VectorXd best = scene_.prior_mean();
     double best_cost = std::numeric_limits<double>::infinity();
@@ -299,6 +300,18 @@ class Fitter {
 };
 
 }  // namespace
+
+Eigen::Vector3d laterate(const Eigen::MatrixX3d& j, const Eigen::VectorXd& y,
+                         const Eigen::VectorXd& distance_m, int rounds) {
+  Eigen::VectorXd weight = distance_m.cwiseInverse();
+  Eigen::Vector3d solution = Eigen::Vector3d::Zero();
+  for (int round = 0; round < rounds; ++round) {
+    solution = (weight.asDiagonal() * j).colPivHouseholderQr().solve(weight.cwiseProduct(y));
+    const Eigen::ArrayXd error_m = ((y - j * solution).array() / (2.0 * distance_m.array())).abs();
+    weight = (distance_m.array() * (0.2 + error_m).sqrt()).inverse();
+  }
+  return solution;
+}
 
 RangeFit fit_ranges(const Scene& scene, const Parameters& parameters,
                     const std::vector<Eigen::VectorXd>& earlier, int max_iterations) {

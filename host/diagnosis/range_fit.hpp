@@ -50,8 +50,8 @@ class Scene {
   Scene& operator=(const Scene&) = delete;
   virtual ~Scene() = default;
 
-  // Rows in the order of their blocks.
-  [[nodiscard]] virtual std::span<const RangeRow> rows() const = 0;
+  // In the order of their blocks.
+  [[nodiscard]] std::span<const RangeRow> rows() const noexcept { return rows_; }
   [[nodiscard]] virtual std::size_t block_count() const = 0;
   // Place of the row's antenna if this is wrong with the data, m; NaN if it is unknown.
   [[nodiscard]] virtual Eigen::Vector3d antenna_m(const RangeRow& row, const Mistake& mistake) const = 0;
@@ -59,13 +59,22 @@ class Scene {
   [[nodiscard]] virtual double predict_m(const RangeRow& row, const Eigen::Vector3d& antenna_m,
                                          const Eigen::VectorXd& block, RangeDerivatives& out) const = 0;
   // Gaussian prior of each block's parameters; a sigma may be infinite.
-  [[nodiscard]] virtual const Eigen::VectorXd& prior_mean() const = 0;
-  [[nodiscard]] virtual const Eigen::VectorXd& prior_sigma() const = 0;
+  [[nodiscard]] const Eigen::VectorXd& prior_mean() const noexcept { return prior_mean_; }
+  [[nodiscard]] const Eigen::VectorXd& prior_sigma() const noexcept { return prior_sigma_; }
   // Places to start a block from, given its rows and their antennas.
   [[nodiscard]] virtual std::vector<Eigen::VectorXd> starts(
-      std::size_t block, std::span<const RangeRow> rows,
-      std::span<const Eigen::Vector3d> antennas_m) const = 0;
+      std::span<const RangeRow> rows, std::span<const Eigen::Vector3d> antennas_m) const = 0;
+
+ protected:
+  std::vector<RangeRow> rows_;
+  Eigen::VectorXd prior_mean_;
+  Eigen::VectorXd prior_sigma_;
 };
+
+// A place from distances, which are linear in it and in its square: the least squares of y = j x, m^2, with
+// an error of distance_m (m) in each row; iteratively reweighted against outliers.
+[[nodiscard]] Eigen::Vector3d laterate(const Eigen::MatrixX3d& j, const Eigen::VectorXd& y,
+                                       const Eigen::VectorXd& distance_m, int rounds);
 
 // Parameters of a hypothesis, and what they mean.
 struct Parameters {

@@ -8,7 +8,6 @@
 #include <utility>
 
 #include <Eigen/Geometry>
-#include <Eigen/QR>
 
 namespace groma::diagnosis {
 namespace {
@@ -135,7 +134,7 @@ double WindowScene::predict_m(const RangeRow& row, const Eigen::Vector3d& antenn
 }
 
 // For each of some headings the squares of the ranges are linear in the window's x, y and their square.
-std::vector<Eigen::VectorXd> WindowScene::starts(std::size_t /*block*/, std::span<const RangeRow> rows,
+std::vector<Eigen::VectorXd> WindowScene::starts(std::span<const RangeRow> rows,
                                                  std::span<const Eigen::Vector3d> antennas_m) const {
   constexpr int kHeadings = 6;
   std::vector<Eigen::VectorXd> out;
@@ -158,13 +157,7 @@ std::vector<Eigen::VectorXd> WindowScene::starts(std::size_t /*block*/, std::spa
       j.row(i) << 2.0 * q.x(), 2.0 * q.y(), 1.0;
       y(i) = distance_m(i) * distance_m(i) - q.squaredNorm();
     }
-    Eigen::VectorXd weight = distance_m.cwiseInverse();
-    Eigen::Vector3d solution = Eigen::Vector3d::Zero();
-    for (int round = 0; round < 4; ++round) {
-      solution = (weight.asDiagonal() * j).colPivHouseholderQr().solve(weight.cwiseProduct(y));
-      const Eigen::ArrayXd error_m = ((y - j * solution).array() / (2.0 * distance_m.array())).abs();
-      weight = (distance_m.array() * (0.2 + error_m).sqrt()).inverse();
-    }
+    const Eigen::Vector3d solution = laterate(j, y, distance_m, 4);
     out.emplace_back(Eigen::Vector3d(solution.x(), solution.y(), heading_rad));
   }
   return out;

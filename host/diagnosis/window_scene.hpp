@@ -21,16 +21,12 @@ class WindowScene final : public Scene {
   // Ranges of pairs with a calibrated bias, evenly thinned to about most_rows.
   WindowScene(const Data& data, const model::Calibration& calibration, std::size_t most_rows);
 
-  [[nodiscard]] std::span<const RangeRow> rows() const override { return rows_; }
   [[nodiscard]] std::size_t block_count() const override { return windows_.size(); }
   [[nodiscard]] Eigen::Vector3d antenna_m(const RangeRow& row, const Mistake& mistake) const override;
   [[nodiscard]] double predict_m(const RangeRow& row, const Eigen::Vector3d& antenna_m,
                                  const Eigen::VectorXd& block, RangeDerivatives& out) const override;
-  [[nodiscard]] const Eigen::VectorXd& prior_mean() const override { return prior_mean_; }
-  [[nodiscard]] const Eigen::VectorXd& prior_sigma() const override { return prior_sigma_; }
   [[nodiscard]] std::vector<Eigen::VectorXd> starts(
-      std::size_t block, std::span<const RangeRow> rows,
-      std::span<const Eigen::Vector3d> antennas_m) const override;
+      std::span<const RangeRow> rows, std::span<const Eigen::Vector3d> antennas_m) const override;
 
  private:
   struct Pair {
@@ -46,11 +42,8 @@ class WindowScene final : public Scene {
   void reckon(double yaw_rate_scale) const;
 
   const Data& data_;
-  std::vector<RangeRow> rows_;
   std::vector<double> windows_;  // begin of each, s
   std::vector<Pair> pairs_;      // RangeRow::anchor is the index here
-  Eigen::VectorXd prior_mean_;
-  Eigen::VectorXd prior_sigma_;
   // The path with the yaw-rate scale that was asked for last.
   mutable std::vector<Reckoned> path_;
   mutable double path_scale_ = 0.0;
