@@ -2,7 +2,6 @@
 // the residuals themselves; the density is asymmetric, because NLOS makes ranges too long.
 #pragma once
 
-#include <algorithm>
 #include <array>
 #include <cmath>
 #include <cstddef>
@@ -10,6 +9,8 @@
 #include <vector>
 
 #include <Eigen/Core>
+
+#include "host/model/median.hpp"
 
 namespace groma::calibration {
 
@@ -248,15 +249,7 @@ struct KernelPrior {
 [[nodiscard]] KernelShape fit_kernel(std::span<const WeighedResidual> residuals, const KernelPrior& prior,
                                      int iterations) noexcept;
 
-// Standard deviation of a normal distribution over its median absolute deviation: 1 / quantile(0.75).
-inline constexpr double kSigmaOfMad = 1.482602218505602;
-
-// Upper median; zero if empty.
-[[nodiscard]] inline double median(std::vector<double> values) {
-  if (values.empty()) return 0.0;
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
+using model::kSigmaOfMad;
+using model::median;
 
 }  // namespace groma::calibration

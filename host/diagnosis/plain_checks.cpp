@@ -7,7 +7,6 @@
 #include <cmath>
 #include <complex>
 #include <cstddef>
-#include <limits>
 #include <map>
 #include <optional>
 #include <set>
@@ -18,17 +17,11 @@
 #include "host/diagnosis/thresholds.hpp"
 #include "host/diagnosis/units.hpp"
 #include "host/io/dataset.hpp"
+#include "host/model/median.hpp"
 #include "host/model/pose.hpp"
 
 namespace groma::diagnosis {
 namespace {
-
-double median(std::vector<double> values) {
-  if (values.empty()) return std::numeric_limits<double>::quiet_NaN();
-  const auto middle = values.begin() + std::ssize(values) / 2;
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
 
 // By hand: fewer samples of a table say nothing about its times.
 constexpr std::size_t kMinSamples = 20;
@@ -52,7 +45,7 @@ void add_times(std::string_view name, const std::vector<Sample>& samples, std::v
     if (interval_s > 0.0) intervals_s.push_back(interval_s);
   }
   if (intervals_s.empty()) return;
-  out.push_back({name, samples.front().t_s, samples.back().t_s, median(std::move(intervals_s))});
+  out.push_back({name, samples.front().t_s, samples.back().t_s, model::median(std::move(intervals_s))});
 }
 
 template <class Sample>
@@ -317,9 +310,9 @@ std::vector<Finding> find_wrong_height(const Data& data) {
     heights_m.push_back(pose.z_m - data.surface.height_m(pose.x_m, pose.y_m, chart));
   }
   if (heights_m.size() < kMinSamples) return {};
-  const double above_m = median(heights_m);
+  const double above_m = model::median(heights_m);
   for (double& height_m : heights_m) height_m = std::abs(height_m - above_m);
-  const double spread_m = 1.4826 * median(std::move(heights_m));
+  const double spread_m = model::kSigmaOfMad * model::median(std::move(heights_m));
   // By hand: what varies by half as much as it is off is no offset, but another shape or a robot that is not
   // on the ground.
   if (std::abs(above_m) < kLeastHeight_m || spread_m > 0.5 * std::abs(above_m)) return {};

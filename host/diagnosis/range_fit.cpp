@@ -2,11 +2,13 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 #include <Eigen/Cholesky>
 #include <Eigen/QR>
 
 #include "host/diagnosis/student.hpp"
+#include "host/model/median.hpp"
 
 namespace groma::diagnosis {
 namespace {
@@ -37,9 +39,7 @@ double median_size(std::vector<double> values) {
   std::erase_if(values, [](double value) { return !std::isfinite(value); });
   if (values.empty()) return kLeastScale_m;
   for (double& value : values) value = std::abs(value);
-  const auto middle = values.begin() + std::ssize(values) / 2;
-  std::nth_element(values.begin(), middle, values.end());
-  return std::max(1.5 * *middle, kLeastScale_m);
+  return std::max(1.5 * model::median(std::move(values)), kLeastScale_m);
 }
 
 double prior_cost(const Scene& scene, const Eigen::VectorXd& block) {

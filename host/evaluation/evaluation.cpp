@@ -3,9 +3,11 @@
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
+#include <utility>
 
 #include <Eigen/Cholesky>
 
+#include "host/model/median.hpp"
 #include "host/model/pose.hpp"
 
 namespace groma::evaluation {
@@ -86,9 +88,7 @@ Coverage coverage(std::span<const model::PlanarEstimate> estimate, std::span<con
   if (errors.empty()) return {};
   std::vector<double> intervals_s{kMaxGap_s};
   for (std::size_t i = 1; i < truth.size(); ++i) intervals_s.push_back(truth[i].t_s - truth[i - 1].t_s);
-  const auto middle = intervals_s.begin() + static_cast<std::ptrdiff_t>(intervals_s.size() / 2);
-  std::nth_element(intervals_s.begin(), middle, intervals_s.end());
-  const double near_s = std::max(kMaxGap_s, *middle);
+  const double near_s = std::max(kMaxGap_s, model::median(std::move(intervals_s)));
   std::size_t near = 0;
   for (const model::PlanarEstimate& row : estimate) {
     // The first scored time that is not too early.

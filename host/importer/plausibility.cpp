@@ -7,6 +7,7 @@
 
 #include "host/importer/import.hpp"
 #include "host/io/error.hpp"
+#include "host/model/median.hpp"
 
 namespace groma::importer {
 
@@ -15,12 +16,6 @@ namespace {
 // By hand: no robot localizes by rows that are further apart.
 constexpr double kMaxStep_s = 2.5;
 constexpr std::size_t kFewRows = 10;
-
-double median(std::vector<double> values) {
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
 
 // The unit of time in which such steps are plausible.
 std::string_view likely_unit(double step_s) {
@@ -48,7 +43,7 @@ void expect_times(const std::filesystem::path& path, const ImportedTable& import
                                     imported.source, backward, times_s.size()),
                         "give the column or field of the time as t_s in the map");
   }
-  const double step_s = median(std::move(steps_s));
+  const double step_s = model::median(std::move(steps_s));
   if (units.time_is_given || step_s <= kMaxStep_s) return;
   throw io::DataError(
       {path},
@@ -63,7 +58,7 @@ void expect_ranges(const std::filesystem::path& path, const ImportedTable& impor
   std::vector<double> lengths_m;
   lengths_m.reserve(ranges.size());
   for (const model::RangeSample& range : ranges) lengths_m.push_back(range.range_m);
-  const double middle_m = median(std::move(lengths_m));
+  const double middle_m = model::median(std::move(lengths_m));
   if (middle_m <= io::kMaxRange_m) return;
   throw io::DataError(
       {path},

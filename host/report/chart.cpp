@@ -14,6 +14,7 @@
 
 #include <Eigen/Eigenvalues>
 
+#include "host/model/median.hpp"
 #include "host/report/html.hpp"
 #include "host/report/samples.hpp"
 #include "host/report/series.hpp"
@@ -286,10 +287,8 @@ double Chart::magnification(const View& view) const {
     }
   }
   if (sizes_px.empty()) return 1.0;
-  const auto middle = sizes_px.begin() + static_cast<std::ptrdiff_t>(sizes_px.size() / 2);
-  std::nth_element(sizes_px.begin(), middle, sizes_px.end());
   constexpr double kVisible_px = 7.0;
-  const double median_px = *middle;
+  const double median_px = model::median(sizes_px);
   const double most = 0.15 * view.size_px.x() / *std::max_element(sizes_px.begin(), sizes_px.end());
   double chosen = 1.0;
   for (const double factor : {2.0, 5.0, 10.0, 20.0, 50.0, 100.0}) {
