@@ -20,8 +20,11 @@ namespace {
 
 // By hand: enough for a gain of 1 %, few enough for a second or two.
 constexpr std::size_t kMostRows = 3000;
-constexpr std::size_t kMostSearchRows = 800;
+constexpr std::size_t kMostSearchRows = 600;
 constexpr std::size_t kMinRows = 200;
+// Where residuals are smaller than this many configured sigmas, a clock is off by little or not at all. By
+// hand.
+constexpr double kFarSigmas = 1.5;
 // A hypothesis has to raise the log likelihood of a range by this, more than effects that good runs have: by
 // hand. Each of its parameters costs this much of it.
 constexpr double kLeastGain = 0.02;
@@ -38,6 +41,10 @@ Parameters with(std::initializer_list<double> start, std::initializer_list<doubl
         Eigen::Map<const Eigen::VectorXd>(of.begin(), static_cast<Eigen::Index>(of.size())));
   };
   return {vector(start), vector(sigma), vector(step), std::move(mistake)};
+}
+Parameters far(Parameters parameters) {
+  parameters.is_neutral = false;
+  return parameters;
 }
 
 bool is_certain(const RangeFit& fit, Eigen::Index parameter, double value) {
@@ -63,14 +70,14 @@ double share_of_slices(const RangeFit& fit, const RangeFit& other) {
   return all > 0.0 ? better / all : 0.0;
 }
 
-}  // namespace
-
+// The clock offset under which a few ranges fit best, of a grid that is dense near zero. By hand: up to half
+// a minute.
 double best_offset_s(const Data& data, const MakeScene& make_scene) {
   const auto few = make_scene(data, kMostSearchRows);
   const auto cost_at = [&](double offset_s) {
     Parameters none;
     none.mistake = [offset_s](const Eigen::VectorXd&) { return Mistake{.clock = {.offset_s = offset_s}}; };
-    const RangeFit fit = fit_ranges(*few, none, {}, 0);
+    const RangeFit fit = fit_ranges(*few, none, 0);
     return 2 * fit.rows < few->rows().size() ? kInfinity : fit.cost;
   };
   double best_s = 0.0;
@@ -87,11 +94,13 @@ double best_offset_s(const Data& data, const MakeScene& make_scene) {
   return best_s;
 }
 
-Hypothesis clock_offset(double start_s, std::string_view reference) {
+}  // namespace
+
+Hypothesis clock_offset(std::optional<double> start_s, std::string_view reference) {
   const auto mistake = [](const Eigen::VectorXd& at) { return Mistake{.clock = {.offset_s = at(0)}}; };
   Hypothesis out;
   out.starts = {with({0.0}, {kInfinity}, {0.005}, mistake)};
-  if (start_s != 0.0) out.starts.push_back(with({start_s}, {kInfinity}, {0.005}, mistake));
+  if (start_s) out.starts.push_back(far(with({*start_s}, {kInfinity}, {0.005}, mistake)));
   out.name = [reference](const RangeFit& fit) -> std::optional<Finding> {
     const double offset_s = fit.at(0);
     if (std::abs(offset_s) < kLeastClock_s || !is_certain(fit, 0, offset_s)) return std::nullopt;
@@ -111,15 +120,19 @@ Hypothesis clock_offset(double start_s, std::string_view reference) {
   return out;
 }
 
-Hypothesis clock_drift(double start_s, double begin_s, double end_s, std::string_view reference) {
+Hypothesis clock_drift(std::optional<double> start_s, double begin_s, double end_s,
+                       std::string_view reference) {
   const double middle_s = 0.5 * (begin_s + end_s);
   const auto mistake = [middle_s](const Eigen::VectorXd& at) {
     return Mistake{.clock = {.offset_s = at(0), .drift = at(1), .reference_s = middle_s}};
   };
   Hypothesis out;
-  out.starts.clear();
-  for (const double drift : {0.0, 0.005, -0.005}) {
-    out.starts.push_back(with({start_s, drift}, {kInfinity, kInfinity}, {0.005, 1e-5}, mistake));
+  const auto start = [&](double offset_s, double drift) {
+    return with({offset_s, drift}, {kInfinity, kInfinity}, {0.005, 1e-5}, mistake);
+  };
+  out.starts = {start(0.0, 0.0)};
+  if (start_s) {
+    for (const double drift : {0.0, 0.005, -0.005}) out.starts.push_back(far(start(*start_s, drift)));
   }
   out.name = [=](const RangeFit& fit) -> std::optional<Finding> {
     const double drift = fit.at(1);
@@ -207,9 +220,9 @@ Hypothesis wrong_lever_arm(std::size_t tag, const Data& data) {
 Hypothesis heading_offset() {
   const auto mistake = [](const Eigen::VectorXd& at) { return Mistake{.heading_rad = at(0)}; };
   Hypothesis out;
-  out.starts.clear();
-  for (const double start_rad : {0.0, 0.5, 1.0, -0.5, -1.0})
-    out.starts.push_back(with({start_rad * std::numbers::pi}, {kInfinity}, {1e-4}, mistake));
+  out.starts = {with({0.0}, {kInfinity}, {1e-4}, mistake)};
+  for (const double start_rad : {0.5, 1.0, -0.5, -1.0})
+    out.starts.push_back(far(with({start_rad * std::numbers::pi}, {kInfinity}, {1e-4}, mistake)));
   out.name = [](const RangeFit& fit) -> std::optional<Finding> {
     const double offset_rad = model::wrap_angle(fit.at(0));
     if (std::abs(offset_rad) < kLeastHeading_rad || !is_certain(fit, 0, offset_rad)) return std::nullopt;
@@ -242,9 +255,10 @@ Hypothesis heading_sign() {
   return out;
 }
 
-std::vector<Hypothesis> of_clock_and_tags(const Data& data, const MakeScene& make_scene,
-                                          std::string_view reference) {
-  const double offset_s = best_offset_s(data, make_scene);
+std::vector<Hypothesis> of_clock_and_tags(const Data& data, const RangeFit& given,
+                                          const MakeScene& make_scene, std::string_view reference) {
+  std::optional<double> offset_s;
+  if (given.scale_m > kFarSigmas * data.priors.sigma_m) offset_s = best_offset_s(data, make_scene);
   std::vector<Hypothesis> out{
       clock_offset(offset_s, reference),
       clock_drift(offset_s, data.ranges.front().t_s, data.ranges.back().t_s, reference),
@@ -257,43 +271,81 @@ std::vector<Hypothesis> of_clock_and_tags(const Data& data, const MakeScene& mak
   return out;
 }
 
+namespace {
+
+// Fits of the data under hypotheses.
+class Trials {
+ public:
+  Trials(const Data& data, const MakeScene& make_scene)
+      : data_(data), make_scene_(make_scene), scene_(make_scene(data, kMostRows)) {}
+
+  [[nodiscard]] bool fit_given() {
+    if (scene_->rows().size() < kMinRows) return false;
+    given_ = fit_ranges(*scene_, {});
+    return 2 * given_.rows >= scene_->rows().size();
+  }
+  [[nodiscard]] const RangeFit& given() const noexcept { return given_; }
+
+  // The fit from this start, if it may be better than the data as given; `changed`: by the hypothesis.
+  [[nodiscard]] std::optional<RangeFit> fit(const Hypothesis& hypothesis, const Parameters& start,
+                                            const Data* changed) {
+    if (changed == nullptr && start.is_neutral) return fit_ranges_near(*scene_, start, given_.blocks);
+    // The blocks are somewhere else under this hypothesis. To search them costs most, so that a few rows tell
+    // first whether it is worth it.
+    const Data& data = changed != nullptr ? *changed : data_;
+    if (!few_given_) few_given_ = fit_ranges(*make_scene_(data_, kMostSearchRows), {});
+    const RangeFit few = fit_ranges(*make_scene_(data, kMostSearchRows), start);
+    if (few_given_->cost - few.cost < hypothesis.penalty) return std::nullopt;
+    return fit_ranges(changed != nullptr ? *make_scene_(data, kMostRows) : *scene_, start);
+  }
+
+  // The blocks may be better where a hypothesis has put them, without it too.
+  void improve_given(const RangeFit& fit) {
+    RangeFit again = fit_ranges_near(*scene_, {}, fit.blocks);
+    if (again.cost < given_.cost) given_ = std::move(again);
+  }
+
+ private:
+  const Data& data_;
+  const MakeScene& make_scene_;
+  std::unique_ptr<Scene> scene_;
+  RangeFit given_;
+  std::optional<RangeFit> few_given_;  // of kMostSearchRows
+};
+
 // The likeliest hypothesis, if the ranges are clearly likelier under it than as given; corrected in the data.
-static std::optional<Finding> find_likeliest(Data& data, const MakeScene& make_scene,
-                                             const MakeHypotheses& hypotheses_of) {
-  const auto scene = make_scene(data, kMostRows);
-  if (scene->rows().size() < kMinRows) return std::nullopt;
-  RangeFit given = fit_ranges(*scene, {});
-  if (2 * given.rows < scene->rows().size()) return std::nullopt;
+std::optional<Finding> find_likeliest(Data& data, const MakeScene& make_scene,
+                                      const MakeHypotheses& hypotheses_of) {
+  Trials trials(data, make_scene);
+  if (!trials.fit_given()) return std::nullopt;
   std::optional<Finding> best;
   double best_gain = kLeastGain;
   std::optional<Data> corrected;
-  for (const Hypothesis& hypothesis : hypotheses_of(data)) {
+  for (const Hypothesis& hypothesis : hypotheses_of(data, trials.given())) {
     std::optional<Data> changed;
-    std::unique_ptr<Scene> changed_scene;
-    if (hypothesis.change) {
-      hypothesis.change(changed.emplace(data));
-      changed_scene = make_scene(*changed, kMostRows);
-    }
+    if (hypothesis.change) hypothesis.change(changed.emplace(data));
     for (const Parameters& start : hypothesis.starts) {
-      const RangeFit fit = fit_ranges(changed_scene ? *changed_scene : *scene, start, given.blocks);
+      const std::optional<RangeFit> fit = trials.fit(hypothesis, start, changed ? &*changed : nullptr);
+      if (!fit) continue;
       const double penalty = hypothesis.penalty + kGainPerParameter * static_cast<double>(start.start.size());
-      if (given.cost - fit.cost - penalty < best_gain || 2 * fit.rows < given.rows) continue;
-      // The nuisance parameters may be better where the hypothesis has put them, without it too.
-      RangeFit again = fit_ranges(*scene, {}, fit.blocks);
-      if (again.cost < given.cost) given = std::move(again);
-      const double gain = given.cost - fit.cost - penalty;
-      if (gain < best_gain || fit.scale_m > kMostSigmas * data.priors.sigma_m) continue;
-      std::optional<Finding> finding = hypothesis.name(fit);
-      if (!finding || share_of_slices(fit, given) < kMinSlices) continue;
+      if (trials.given().cost - fit->cost - penalty < best_gain || 2 * fit->rows < trials.given().rows)
+        continue;
+      trials.improve_given(*fit);
+      const double gain = trials.given().cost - fit->cost - penalty;
+      if (gain < best_gain || fit->scale_m > kMostSigmas * data.priors.sigma_m) continue;
+      std::optional<Finding> finding = hypothesis.name(*fit);
+      if (!finding || share_of_slices(*fit, trials.given()) < kMinSlices) continue;
       best = std::move(finding);
       best_gain = gain;
       corrected = changed ? *changed : data;
-      hypothesis.correct(fit, *corrected);
+      hypothesis.correct(*fit, *corrected);
     }
   }
   if (best) data = std::move(*corrected);
   return best;
 }
+
+}  // namespace
 
 std::vector<Finding> find_mistakes(Data& data, const MakeScene& make_scene,
                                    const MakeHypotheses& hypotheses_of) {

@@ -28,10 +28,10 @@ struct Hypothesis {
   std::function<void(const RangeFit&, Data&)> correct = [](const RangeFit&, Data&) {};
 };
 
-// `reference`: whose clock the ranges are compared with. `start_s`: see best_offset_s(); the drive is from
+// `reference`: whose clock the ranges are compared with. `start_s`: a further start; the drive is from
 // begin_s to end_s.
-[[nodiscard]] Hypothesis clock_offset(double start_s, std::string_view reference);
-[[nodiscard]] Hypothesis clock_drift(double start_s, double begin_s, double end_s,
+[[nodiscard]] Hypothesis clock_offset(std::optional<double> start_s, std::string_view reference);
+[[nodiscard]] Hypothesis clock_drift(std::optional<double> start_s, double begin_s, double end_s,
                                      std::string_view reference);
 // Indices of tags.
 [[nodiscard]] Hypothesis swapped_tags(std::size_t a, std::size_t b, const Data& data);
@@ -43,15 +43,13 @@ struct Hypothesis {
 
 // Ranges with their unknowns, thinned to about most_rows; the data outlives the scene.
 using MakeScene = std::function<std::unique_ptr<Scene>(const Data&, std::size_t most_rows)>;
-using MakeHypotheses = std::function<std::vector<Hypothesis>(const Data&)>;
+// `given`: the fit without any.
+using MakeHypotheses = std::function<std::vector<Hypothesis>(const Data&, const RangeFit& given)>;
 
 // Those of the ranges' clock and the tags' places.
-[[nodiscard]] std::vector<Hypothesis> of_clock_and_tags(const Data& data, const MakeScene& make_scene,
+[[nodiscard]] std::vector<Hypothesis> of_clock_and_tags(const Data& data, const RangeFit& given,
+                                                        const MakeScene& make_scene,
                                                         std::string_view reference);
-
-// The clock offset under which a few ranges fit best, of a grid that is dense near zero. By hand: up to half
-// a minute.
-[[nodiscard]] double best_offset_s(const Data& data, const MakeScene& make_scene);
 
 // The mistakes that are named, each corrected in the data before the next is looked for: the hypothesis under
 // which the ranges are likeliest, if they are clearly likelier than as given.

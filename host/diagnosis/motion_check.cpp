@@ -105,9 +105,9 @@ std::vector<Finding> compare_with_calibration(Data& data, const model::Calibrati
   const auto make_scene = [&](const Data& now, std::size_t most_rows) -> std::unique_ptr<Scene> {
     return std::make_unique<WindowScene>(now, calibration, most_rows);
   };
-  return find_mistakes(data, make_scene, [&](const Data& now) {
+  return find_mistakes(data, make_scene, [&](const Data& now, const RangeFit& given) {
     std::vector<Hypothesis> out = of_odometry();
-    for (Hypothesis& hypothesis : of_clock_and_tags(now, make_scene, "odometry")) {
+    for (Hypothesis& hypothesis : of_clock_and_tags(now, given, make_scene, "odometry")) {
       out.push_back(std::move(hypothesis));
     }
     out.push_back(surface_height());

@@ -7,6 +7,7 @@
 #include <cmath>
 #include <cstddef>
 #include <limits>
+#include <memory>
 #include <numbers>
 #include <optional>
 #include <span>
@@ -17,6 +18,7 @@
 #include <Eigen/Core>
 #include <Eigen/Geometry>
 
+#include "host/diagnosis/dead_reckoning.hpp"
 #include "host/diagnosis/student.hpp"
 #include "host/diagnosis/thresholds.hpp"
 #include "host/diagnosis/units.hpp"
@@ -37,7 +39,7 @@ struct Window {
   double turned_rad = 0.0;
 };
 
-// Motion relative to the start.
+// Motion within a window, by the odometry.
 struct Step {
   Eigen::Vector2d moved_m = Eigen::Vector2d::Zero();
   double turned_rad = 0.0;
@@ -78,6 +80,8 @@ std::vector<Window> windows_of(const std::vector<model::PoseSample>& poses, bool
 
 class Comparison {
  public:
+  Comparison(const Comparison&) = delete;
+  Comparison& operator=(const Comparison&) = delete;
   Comparison(const Data& data, Flips flips)
       : odometry_(data.odometry), windows_(windows_of(data.poses, flips.heading)) {
     if (flips.lateral) {
@@ -145,34 +149,17 @@ class Comparison {
   }
 
  private:
-  // Integral of the odometry over the window, each sample held until the next.
   [[nodiscard]] Step integrate(const Window& window, const Unknowns& at) const {
+    if (!path_ || path_->yaw_rate_scale() != at(kYawScale)) path_.emplace(odometry_, at(kYawScale));
     const auto on_its_clock = [&](double t_s) { return t_s + at(kClock) + at(kDrift) * (t_s - middle_s_); };
-    double t_s = on_its_clock(window.from_s);
-    const double end_s = on_its_clock(window.to_s);
-    auto next =
-        std::upper_bound(odometry_.begin(), odometry_.end(), t_s,
-                         [](double t, const model::OdometrySample& sample) { return t < sample.t_s; });
-    constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
-    if (next == odometry_.begin() || next == odometry_.end() || end_s > odometry_.back().t_s)
-      return {{kNone, kNone}, kNone};
-    Step step;
-    while (t_s < end_s) {
-      const model::OdometrySample& held = *std::prev(next);
-      const double until_s = next == odometry_.end() ? end_s : std::min(end_s, next->t_s);
-      const double dt_s = until_s - t_s;
-      const double turn_rad = held.omega_radps / at(kYawScale) * dt_s;
-      const Eigen::Rotation2Dd middle(step.turned_rad + 0.5 * turn_rad);
-      step.moved_m += middle * Eigen::Vector2d(held.vx_mps, held.vy_mps) * (dt_s / at(kSpeedScale));
-      step.turned_rad += turn_rad;
-      t_s = until_s;
-      if (next != odometry_.end()) ++next;
-    }
-    step.turned_rad -= at(kBias) * (window.to_s - window.from_s);
-    return step;
+    const DeadReckoning::Place from = path_->at(on_its_clock(window.from_s));
+    const DeadReckoning::Place to = path_->at(on_its_clock(window.to_s));
+    return {Eigen::Rotation2Dd(-from.heading_rad) * (to.position_m - from.position_m) / at(kSpeedScale),
+            to.heading_rad - from.heading_rad - at(kBias) * (window.to_s - window.from_s)};
   }
 
   std::vector<model::OdometrySample> odometry_;
+  mutable std::optional<DeadReckoning> path_;  // with the yaw-rate scale that was asked for last
   std::vector<Window> windows_;
   double middle_s_ = 0.0;
   double duration_s_ = 0.0;
@@ -303,26 +290,42 @@ void add_heading(const Comparison& comparison, Unknowns& start) {
   start(kHeading) = -std::atan2(cross, dot);
 }
 
-// Starts: the clock as given, and at the lags of the whole drive and of its halves; the yaw rate with either
-// sign, and in degrees per second.
-Estimate best_estimate(const Comparison& comparison) {
+struct Clock {
+  double offset_s = 0.0;
+  double drift = 0.0;
+};
+
+// The clock as given, and at the lags of the whole drive and of its halves. No flip changes them.
+std::array<Clock, 3> likely_clocks(const Comparison& comparison) {
   const double middle_s = comparison.middle_s();
   const double half_s = 0.5 * comparison.duration_s();
   const double lag_s = best_lag_s(comparison, middle_s - half_s, middle_s + half_s);
   const double first_s = best_lag_s(comparison, middle_s - half_s, middle_s);
   const double last_s = best_lag_s(comparison, middle_s, middle_s + half_s);
-  Estimate best;
-  for (const auto& [clock_s, drift] :
-       {std::pair{0.0, 0.0}, {lag_s, 0.0}, {0.5 * (first_s + last_s), (last_s - first_s) / half_s}}) {
+  return {{{}, {lag_s, 0.0}, {0.5 * (first_s + last_s), (last_s - first_s) / half_s}}};
+}
+
+// From the likeliest of several starts: each clock, with the yaw rate of either sign, and in degrees per
+// second.
+Estimate best_estimate(const Comparison& comparison, std::span<const Clock> clocks) {
+  constexpr std::size_t kImproved = 2;  // by hand: of nine, all others are clearly worse
+  std::vector<Estimate> starts;
+  for (const Clock& clock : clocks) {
     for (const double yaw_scale : {1.0, -1.0, kDegrees.factor}) {
-      Unknowns start = Comparison::neutral();
-      start(kClock) = clock_s;
-      start(kDrift) = drift;
-      start(kYawScale) = yaw_scale;
-      add_heading(comparison, start);
-      const Estimate found = estimate(comparison, start);
-      if (found.cost < best.cost) best = found;
+      Estimate& start = starts.emplace_back();
+      start.at(kClock) = clock.offset_s;
+      start.at(kDrift) = clock.drift;
+      start.at(kYawScale) = yaw_scale;
+      add_heading(comparison, start.at);
+      score(comparison.residuals(start.at), start, 30);
     }
+  }
+  std::stable_sort(starts.begin(), starts.end(),
+                   [](const Estimate& a, const Estimate& b) { return a.cost < b.cost; });
+  Estimate best;
+  for (const Estimate& start : std::span(starts).first(kImproved)) {
+    const Estimate found = estimate(comparison, start.at);
+    if (found.cost < best.cost) best = found;
   }
   return best;
 }
@@ -459,18 +462,20 @@ class Naming {
 
 OdometryComparison compare_with_odometry(Data& data) {
   if (data.odometry.size() < 2) return {};
-  std::optional<Comparison> comparison;
+  std::unique_ptr<Comparison> comparison;
+  std::array<Clock, 3> clocks;
   Estimate best;
   Flips flips;
   for (const Flips& tried : kFlips) {
-    const Comparison with(data, tried);
-    if (with.size() < kMinWindows) return {};
-    const Estimate found = best_estimate(with);
+    auto with = std::make_unique<Comparison>(data, tried);
+    if (with->size() < kMinWindows) return {};
+    if (!comparison) clocks = likely_clocks(*with);
+    const Estimate found = best_estimate(*with, clocks);
     // By hand: a wrong sign costs far more than this of the log likelihood of a window, or is of no
     // consequence.
     constexpr double kFlipGain = 0.3;
     if (!(found.cost < best.cost - (comparison ? kFlipGain : 0.0))) continue;
-    comparison.emplace(with);
+    comparison = std::move(with);
     best = found;
     flips = tried;
   }

@@ -54,12 +54,14 @@ class Fitter {
     prior_information_ = scene.prior_sigma().array().square().inverse();
   }
 
-  RangeFit run(const std::vector<Eigen::VectorXd>& earlier, int max_iterations) {
+  // Searches the blocks if none are given.
+  RangeFit run(std::vector<Eigen::VectorXd> blocks, int max_iterations) {
     RangeFit best;
     best.at = parameters_.start;
     locate(best.at, antennas_);
-    for (std::size_t b = 0; b < ranges_.size(); ++b) {
-      best.blocks.push_back(start_block(b, b < earlier.size() ? &earlier[b] : nullptr));
+    best.blocks = std::move(blocks);
+    if (best.blocks.empty()) {
+      for (const BlockRange range : ranges_) best.blocks.push_back(search_block(range));
     }
     residuals_.resize(rows_.size());
     compute_residuals(antennas_, best.blocks, residuals_);
@@ -107,13 +109,11 @@ class Fitter {
       fit.slice_cost[k] = sums[k] / counts[k];  // NaN without rows
   }
 
-  // The best of a block's starts, each improved by itself.
-  Eigen::VectorXd start_block(std::size_t b, const Eigen::VectorXd* earlier) {
-    const BlockRange range = ranges_[b];
+  // The best of the block's starts, each improved by itself.
+  Eigen::VectorXd search_block(BlockRange range) {
     const std::size_t size = range.end - range.begin;
     std::vector<Eigen::VectorXd> starts =
         scene_.starts(rows_.subspan(range.begin, size), std::span(antennas_).subspan(range.begin, size));
-    if (earlier != nullptr) starts.push_back(*earlier);
     Eigen::VectorXd best = scene_.prior_mean();
     double best_cost = std::numeric_limits<double>::infinity();
     for (Eigen::VectorXd& start : starts) {
@@ -313,9 +313,14 @@ Eigen::Vector3d laterate(const Eigen::MatrixX3d& j, const Eigen::VectorXd& y,
   return solution;
 }
 
-RangeFit fit_ranges(const Scene& scene, const Parameters& parameters,
-                    const std::vector<Eigen::VectorXd>& earlier, int max_iterations) {
-  return Fitter(scene, parameters).run(earlier, max_iterations);
+RangeFit fit_ranges(const Scene& scene, const Parameters& parameters, int max_iterations) {
+  return Fitter(scene, parameters).run({}, max_iterations);
+}
+
+RangeFit fit_ranges_near(const Scene& scene, const Parameters& parameters,
+                         std::vector<Eigen::VectorXd> blocks) {
+  constexpr int kMaxIterations = 60;
+  return Fitter(scene, parameters).run(std::move(blocks), kMaxIterations);
 }
 
 }  // namespace groma::diagnosis

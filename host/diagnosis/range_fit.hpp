@@ -82,6 +82,7 @@ struct Parameters {
   Eigen::VectorXd prior_sigma;  // of parameter minus start
   Eigen::VectorXd step;         // of the numerical derivatives
   std::function<Mistake(const Eigen::VectorXd&)> mistake = [](const Eigen::VectorXd&) { return Mistake{}; };
+  bool is_neutral = true;  // the start is no mistake
 };
 
 struct RangeFit {
@@ -94,8 +95,10 @@ struct RangeFit {
   std::vector<double> slice_cost;                         // -log likelihood a row, of each slice; NaN: no row
 };
 
-// The most likely parameters and blocks. `earlier`: blocks of another fit, as further starts; may be empty.
-[[nodiscard]] RangeFit fit_ranges(const Scene& scene, const Parameters& parameters,
-                                  const std::vector<Eigen::VectorXd>& earlier = {}, int max_iterations = 60);
+// The most likely parameters and blocks, from the scene's starts of each block.
+[[nodiscard]] RangeFit fit_ranges(const Scene& scene, const Parameters& parameters, int max_iterations = 60);
+// From given blocks, such as those of another fit.
+[[nodiscard]] RangeFit fit_ranges_near(const Scene& scene, const Parameters& parameters,
+                                       std::vector<Eigen::VectorXd> blocks);
 
 }  // namespace groma::diagnosis

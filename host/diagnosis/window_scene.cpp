@@ -15,6 +15,8 @@ namespace {
 // By hand: dead reckoning drifts by less than the noise of a range, and the robot moves enough for its place
 // and heading to show.
 constexpr double kWindowLength_s = 10.0;
+// By hand: as many as a window needs to be placed well.
+constexpr double kWindowRows = 40.0;
 // A window with fewer ranges does not determine its place.
 constexpr std::size_t kMinWindowRows = 12;
 // By hand: with fewer, slow NLOS errors of a few anchors look like a mistake (a drift on 30 s of a good
@@ -36,15 +38,26 @@ WindowScene::WindowScene(const Data& data, const model::Calibration& calibration
   for (const model::Tag& tag : data.tags) tags.emplace(tag.id, static_cast<std::uint32_t>(tags.size()));
   std::map<std::pair<model::NodeId, model::NodeId>, std::uint32_t> pairs;
   const double begin_s = data.odometry.front().t_s;
-  const double slice_s = (data.odometry.back().t_s - begin_s) / kSlices;
-  const std::size_t stride =
-      std::max<std::size_t>(1, data.ranges.size() / std::max<std::size_t>(1, most_rows));
-  std::map<long, std::vector<RangeRow>> windows;
+  const double duration_s = data.odometry.back().t_s - begin_s;
+  const double slice_s = duration_s / kSlices;
+  // All ranges of some windows would fit best, but the windows have to show the whole drive.
+  const double windows = std::max(1.0, std::ceil(duration_s / kWindowLength_s));
+  const double kept = std::min(windows, std::ceil(static_cast<double>(most_rows) / kWindowRows));
+  const double share = kept / windows;
+  const auto is_kept = [&](double window) {
+    return std::floor((window + 1.0) * share) > std::floor(window * share);
+  };
+  const auto stride = static_cast<std::size_t>(
+      std::max(1.0, share * static_cast<double>(data.ranges.size()) / static_cast<double>(most_rows)));
+  std::map<long, std::vector<RangeRow>> rows_of_windows;
   // A prime beside the tags' and anchors' order in a cycle, so that thinning keeps all pairs.
   const std::size_t step = stride > 1 && stride % 2 == 0 ? stride + 1 : stride;
   for (std::size_t i = 0; i < data.ranges.size(); i += step) {
     const model::RangeSample& range = data.ranges[i];
     if (range.t_s < begin_s || range.t_s >= data.odometry.back().t_s) continue;
+    const double since_s = range.t_s - begin_s;
+    const double window = std::floor(since_s / kWindowLength_s);
+    if (!is_kept(window)) continue;
     const model::AnchorCalibration* anchor = model::find_anchor(calibration, range.anchor_id);
     if (anchor == nullptr || !model::has_position(*anchor) || !tags.contains(range.tag_id)) continue;
     const auto bias = std::find_if(anchor->pairs.begin(), anchor->pairs.end(),
@@ -52,12 +65,11 @@ WindowScene::WindowScene(const Data& data, const model::Calibration& calibration
     if (bias == anchor->pairs.end() || !(bias->beta_sigma_m < kMostBetaSigma_m)) continue;
     const auto [pair, is_new] = pairs.try_emplace({range.anchor_id, range.tag_id}, pairs_.size());
     if (is_new) pairs_.push_back({anchor->position_m, model::values_of(*bias)});
-    const double since_s = range.t_s - begin_s;
-    windows[std::lround(std::floor(since_s / kWindowLength_s))].push_back(
+    rows_of_windows[std::lround(window)].push_back(
         {range.t_s, range.range_m, 0, tags.at(range.tag_id), pair->second,
          static_cast<std::uint32_t>(std::min(kSlices - 1.0, since_s / slice_s))});
   }
-  for (auto& [index, rows] : windows) {
+  for (auto& [index, rows] : rows_of_windows) {
     if (rows.size() < kMinWindowRows) continue;
     for (RangeRow& row : rows) {
       row.block = static_cast<std::uint32_t>(windows_.size());
@@ -69,40 +81,15 @@ WindowScene::WindowScene(const Data& data, const model::Calibration& calibration
 }
 
 void WindowScene::reckon(double yaw_rate_scale) const {
-  path_.resize(data_.odometry.size());
-  path_.front() = {};
-  for (std::size_t i = 1; i < path_.size(); ++i) {
-    const model::OdometrySample& held = data_.odometry[i - 1];
-    const double dt_s = data_.odometry[i].t_s - held.t_s;
-    const double turn_rad = held.omega_radps / yaw_rate_scale * dt_s;
-    const Eigen::Rotation2Dd middle(path_[i - 1].heading_rad + 0.5 * turn_rad);
-    path_[i].position_m = path_[i - 1].position_m + middle * Eigen::Vector2d(held.vx_mps, held.vy_mps) * dt_s;
-    path_[i].heading_rad = path_[i - 1].heading_rad + turn_rad;
-  }
-  path_scale_ = yaw_rate_scale;
-}
-
-WindowScene::Reckoned WindowScene::at(double t_s, const Mistake& mistake) const {
-  const auto next = std::upper_bound(data_.odometry.begin(), data_.odometry.end(), t_s,
-                                     [](double t, const auto& sample) { return t < sample.t_s; });
-  if (next == data_.odometry.begin()) {
-    constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
-    return {{kNone, kNone}, kNone};
-  }
-  const model::OdometrySample& held = *std::prev(next);
-  Reckoned out = path_[static_cast<std::size_t>(std::prev(next) - data_.odometry.begin())];
-  const double dt_s = t_s - held.t_s;
-  const double turn_rad = held.omega_radps / mistake.yaw_rate_scale * dt_s;
-  out.position_m +=
-      Eigen::Rotation2Dd(out.heading_rad + 0.5 * turn_rad) * Eigen::Vector2d(held.vx_mps, held.vy_mps) * dt_s;
-  out.heading_rad += turn_rad;
-  return out;
+  path_.emplace(data_.odometry, yaw_rate_scale);
+  begins_.clear();
+  for (const double begin_s : windows_) begins_.push_back(path_->at(begin_s));
 }
 
 Eigen::Vector3d WindowScene::antenna_m(const RangeRow& row, const Mistake& mistake) const {
-  if (path_scale_ != mistake.yaw_rate_scale) reckon(mistake.yaw_rate_scale);
-  const Reckoned begin = at(windows_[row.block], mistake);
-  const Reckoned now = at(mistake.clock.corrected_s(row.t_s), mistake);
+  if (!path_ || path_->yaw_rate_scale() != mistake.yaw_rate_scale) reckon(mistake.yaw_rate_scale);
+  const DeadReckoning::Place& begin = begins_[row.block];
+  const DeadReckoning::Place now = path_->at(mistake.clock.corrected_s(row.t_s));
   const Eigen::Rotation2Dd back(-begin.heading_rad);
   Eigen::Vector3d lever_arm_m = data_.tags[row.tag].lever_arm_m;
   if (row.tag == mistake.tag) lever_arm_m -= mistake.lever_arm_m;

@@ -3,11 +3,13 @@
 #pragma once
 
 #include <cstddef>
+#include <optional>
 #include <vector>
 
 #include <Eigen/Core>
 
 #include "host/diagnosis/data.hpp"
+#include "host/diagnosis/dead_reckoning.hpp"
 #include "host/diagnosis/range_fit.hpp"
 #include "host/model/anchor_parameters.hpp"
 #include "host/model/calibration.hpp"
@@ -33,20 +35,14 @@ class WindowScene final : public Scene {
     Eigen::Vector3d anchor_m;
     model::TermVector terms;
   };
-  // Dead reckoning from the drive's begin, at each odometry sample.
-  struct Reckoned {
-    Eigen::Vector2d position_m = Eigen::Vector2d::Zero();
-    double heading_rad = 0.0;
-  };
-  [[nodiscard]] Reckoned at(double t_s, const Mistake& mistake) const;
   void reckon(double yaw_rate_scale) const;
 
   const Data& data_;
   std::vector<double> windows_;  // begin of each, s
   std::vector<Pair> pairs_;      // RangeRow::anchor is the index here
-  // The path with the yaw-rate scale that was asked for last.
-  mutable std::vector<Reckoned> path_;
-  mutable double path_scale_ = 0.0;
+  // With the yaw-rate scale that was asked for last.
+  mutable std::optional<DeadReckoning> path_;
+  mutable std::vector<DeadReckoning::Place> begins_;  // of the windows
 };
 
 }  // namespace groma::diagnosis
