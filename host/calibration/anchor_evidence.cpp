@@ -83,23 +83,27 @@ std::optional<MoveEvidence> move_evidence(const Site& site, std::size_t anchor) 
 
 // Distances, LOS share and out-of-bounds residuals of one anchor's ranges.
 void judge_rows(const Site& site, std::size_t i, std::span<const FittedRange> fitted, AnchorEvidence& out) {
+  double judged = 0.0;
   double far = 0.0;
   double too_short = 0.0;
   if (!fitted.empty()) out.nearest_m = std::numeric_limits<double>::infinity();
   for (const FittedRange& row : fitted) {
     out.los_share += row.los;
     out.nearest_m = std::min(out.nearest_m, row.distance_m);
+    if (row.is_ignored) continue;
+    judged += 1.0;
     if (row.residual_m > kFar_m) far += 1.0;
     if (row.residual_m < -kShort_m) too_short += 1.0;
   }
   const double n = std::max(1.0, static_cast<double>(fitted.size()));
   out.los_share /= n;
+  out.ignored_share = fitted.empty() ? 0.0 : 1.0 - judged / n;
   if (!site.has_los_states()) return;
   out.los_states = LosEvidence{.polls = site.los_states.poll_shares[i],
                                .counts_missed = site.polls.regular,
                                .excess_m = site.los_states.model.excess_prior.mean_m,
-                               .far_share = far / n,
-                               .short_share = too_short / n};
+                               .far_share = far / std::max(1.0, judged),
+                               .short_share = too_short / std::max(1.0, judged)};
 }
 
 }  // namespace
@@ -142,7 +146,9 @@ std::vector<FittedRange> fitted_ranges(const AnchorFit& fit, std::span<const mod
          .antenna_m = row.tag_m.head<2>(),
          .distance_m = at.predicted.distance_m,
          .residual_m = at.residual_m,
-         .los = fit.kernels[row.tag].shares(at.noise_share * at.residual_m).los() * at.value.los_count});
+         .los = fit.kernels[row.tag].shares(at.noise_share * at.residual_m).los() * at.value.los_count,
+         .is_ignored =
+             fit.problem.los_states != nullptr && is_ignored(fit.problem.los_states->rows[row.index])});
   }
   return out;
 }

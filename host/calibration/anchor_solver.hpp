@@ -30,6 +30,11 @@ struct RangeLos {
   float other_density = 0.0F;
   std::int32_t episode = kNoEpisode;  // index of the anchor's long NLOS episode
 };
+// A range that says nothing about the anchor.
+inline constexpr RangeLos kIgnored{.los = 0.0F, .other_density = 1.0F};
+[[nodiscard]] constexpr bool is_ignored(const RangeLos& range) noexcept {
+  return range.los == 0.0F && range.long_nlos == 0.0F;
+}
 
 // Prior of the excess of long NLOS: a part common to all ranges, and one per episode. By hand; the NlosSite
 // tests hold with it, with walls that add 0.3 m and an exponential excess of 0.15 m on average.

@@ -30,6 +30,7 @@ struct FittedRange {
   double distance_m = 0.0;                              // antenna to anchor
   double residual_m = 0.0;                              // measured - predicted
   double los = 0.0;                                     // probability of LOS
+  bool is_ignored = false;                              // its first path is too weak for a line of sight
 };
 
 struct Result {

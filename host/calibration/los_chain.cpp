@@ -79,6 +79,12 @@ constexpr double kBelievedCount = 30.0;
 constexpr double kStrongest = 0.2;
 // Scale of the strength of LOS ranges about the typical one (Laplace distribution).
 constexpr double kStrengthScale_db = 3.0;
+// A first path is too weak for a line of sight if it is this many classes (9 dB) weaker than a typical LOS
+// one, at a site where such ranges are this much more frequent in NLOS than in LOS. By hand: an antenna's
+// pattern is within some 6 dB, diffraction at an edge costs 6 dB where the line of sight touches it, and
+// more behind it. PowerHints.AWeakFirstPathIsNoLosWhereItMeansNlos and the campaign `demo-anchors` hold.
+constexpr std::size_t kWeakClasses = 3;
+constexpr double kWeakRatio = 2.0;
 
 double sum(const std::array<double, model::kPowerClasses>& counts) noexcept {
   return std::accumulate(counts.begin(), counts.end(), 0.0);
@@ -222,6 +228,7 @@ PowerHints::PowerHints(std::span<const double, model::kPowerClasses> ranges, dou
     const double apart = std::abs(static_cast<double>(i) - static_cast<double>(usual));
     near_usual[i] = std::exp(-apart * model::kStrengthStep_db / kStrengthScale_db);
   }
+  usual_ = usual;
   const double near_all = std::accumulate(near_usual.begin(), near_usual.end(), 0.0);
   // An unknown strength carries no information.
   constexpr double kAnywhere = 1.0 / static_cast<double>(model::kStrengthClasses);
@@ -233,6 +240,17 @@ PowerHints::PowerHints(std::span<const double, model::kPowerClasses> ranges, dou
     believed_.blocked[i] = kBelievedCount * model::kPriorNlos[hidden] * kAnywhere;
   }
   estimate({});
+  weak_is_nlos_ = false;
+}
+
+bool PowerHints::is_below_usual(model::PowerClass of) const noexcept {
+  const std::size_t strength = model::strength_class(of);
+  return of < model::kNoPowerClass && strength + 1 < model::kStrengthClasses &&
+         strength + kWeakClasses <= usual_;
+}
+
+bool PowerHints::is_weak(model::PowerClass of) const noexcept {
+  return weak_is_nlos_ && is_below_usual(of);
 }
 
 void PowerHints::estimate(const PowerCounts& counts) noexcept {
@@ -245,6 +263,14 @@ void PowerHints::estimate(const PowerCounts& counts) noexcept {
     ratios_[i] = std::clamp(ratio, 1.0 / kMost, kMost);
   }
   ratios_.back() = 1.0;
+  double weak_los = 0.0;
+  double weak_blocked = 0.0;
+  for (std::size_t i = 0; i < model::kPowerClasses; ++i) {
+    if (!is_below_usual(static_cast<model::PowerClass>(i))) continue;
+    weak_los += all.los[i];
+    weak_blocked += all.blocked[i];
+  }
+  weak_is_nlos_ = weak_blocked / blocked >= kWeakRatio * (weak_los / los);
 }
 
 }  // namespace groma::calibration

@@ -79,11 +79,19 @@ class PowerHints {
 
   // Likelihood of a power class in NLOS over that in LOS, from 1/10 to 10; 1 for kNoPowerClass.
   [[nodiscard]] double ratio(model::PowerClass of) const noexcept { return ratios_[of]; }
+  // Whether the first path is too weak for a line of sight, by a site's ranges so far: such a range may come
+  // around an edge, late by a little, and that changes smoothly along a drive. False if the strength is
+  // unknown, and before estimate().
+  [[nodiscard]] bool is_weak(model::PowerClass of) const noexcept;
   // Adds the counts to the prior, in place of all earlier counts.
   void estimate(const PowerCounts& counts) noexcept;
 
  private:
-  double share_ = 1.0;  // weight of one range
+  [[nodiscard]] bool is_below_usual(model::PowerClass of) const noexcept;
+
+  double share_ = 1.0;     // weight of one range
+  std::size_t usual_ = 0;  // strength class of a typical LOS range
+  bool weak_is_nlos_ = false;
   PowerCounts believed_;
   std::array<double, model::kPowerClasses + 1> ratios_{};
 };

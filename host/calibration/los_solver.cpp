@@ -34,7 +34,7 @@ constexpr double kNearShare = 0.9;
 // Bounds on time, by hand; the NlosSite tests hold with them.
 constexpr int kLosRounds = 7;
 constexpr int kLabelRounds = 2;
-// Share of LOS ranges that is enough to solve an anchor from these alone in the first round. By hand.
+// Share of LOS ranges that is enough to solve an anchor from these alone. By hand.
 constexpr double kEnoughLos = 0.25;
 // An episode of long NLOS is longer than a short one (some 3 s), as each has an unknown excess: by hand.
 constexpr double kEpisode_s = 4.0;
@@ -194,6 +194,7 @@ class LosSolver {
  private:
   void label_first();
   [[nodiscard]] AnchorPass infer(std::size_t anchor) const;
+  void ignore_weak(std::size_t anchor, AnchorPass& pass) const;
   void weigh(std::size_t anchor, const std::vector<Poll>& polls, PairPass& pair) const;
   void add_episodes(const PairPass& pair, double common_m, AnchorPass& out) const;
   void add_episode(const PairPass& pair, std::size_t first, std::size_t last, double common_m,
@@ -233,9 +234,8 @@ void LosSolver::label_first() {
                                     kEnoughLos * static_cast<double>(pass.los_states.rows.size());
     for (std::size_t i = 0; i < rows.size(); ++i) {
       if (seen[i]) continue;
-      pass.los_states.rows[rows[i].index] = pass.los_states.has_long_nlos
-                                                ? RangeLos{.los = 0.0F, .long_nlos = 1.0F}
-                                                : RangeLos{.los = 0.0F, .other_density = 1.0F};
+      pass.los_states.rows[rows[i].index] =
+          pass.los_states.has_long_nlos ? RangeLos{.los = 0.0F, .long_nlos = 1.0F} : kIgnored;
     }
     apply(a, std::move(pass));
   }
@@ -304,7 +304,21 @@ AnchorPass LosSolver::infer(std::size_t a) const {
     }
   }
   out.los_states.has_long_nlos = out.los_states.episodes > 0;
+  ignore_weak(a, out);
   return out;
+}
+
+// Ignores the ranges whose first path is too weak for a line of sight, if enough are left. Their errors are
+// small and change smoothly along the drive: by residuals they look like LOS at another position.
+void LosSolver::ignore_weak(std::size_t a, AnchorPass& pass) const {
+  if (!out_.model.powers) return;
+  const std::span<const Observation> rows = fits_[a].problem.rows;
+  const auto is_weak = [&](const Observation& row) { return out_.model.powers->is_weak(row.power_class); };
+  const auto left = rows.size() - static_cast<std::size_t>(std::count_if(rows.begin(), rows.end(), is_weak));
+  if (static_cast<double>(left) < kEnoughLos * static_cast<double>(rows.size())) return;
+  for (const Observation& row : rows) {
+    if (is_weak(row)) pass.los_states.rows[row.index] = kIgnored;
+  }
 }
 
 // Adds the stretches of long NLOS ranges that no more than a few others interrupt.

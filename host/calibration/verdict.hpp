@@ -46,6 +46,7 @@ struct AnchorEvidence {
   std::optional<MirrorHypothesis> mirror;      // across the plane of the tags
   std::optional<MirrorHypothesis> side;        // across the line of the drive
   double los_share = 0.0;                      // LOS share of its ranges
+  double ignored_share = 0.0;                  // share of its ranges with too weak a first path
   std::optional<double> held_out_z;            // rms of held-out residuals over its prediction
   double scale_ratio = 1.0;                    // its noise over the site's median
   double count_ratio = 1.0;                    // its ranges over the site's median

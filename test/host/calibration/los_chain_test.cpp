@@ -245,6 +245,37 @@ TEST(LosChain, IrregularPollsAreNeverMissed) {
   for (const Poll poll : table.polls[0][0]) EXPECT_NE(poll, kMissed);
 }
 
+constexpr model::PowerClass class_of(std::size_t hidden, std::size_t strength) {
+  return static_cast<model::PowerClass>(hidden * model::kStrengthClasses + strength);
+}
+
+TEST(PowerHints, AWeakFirstPathIsNoLosWhereItMeansNlos) {
+  constexpr std::size_t kUsual = 9;
+  std::array<double, model::kPowerClasses> ranges{};
+  ranges[class_of(0, kUsual)] = 900.0;
+  ranges[class_of(0, kUsual - 3)] = 100.0;
+  PowerHints hints(ranges, 0.12);
+  EXPECT_FALSE(hints.is_weak(class_of(0, kUsual - 3))) << "before any estimate";
+  PowerCounts counts;
+  counts.los[class_of(0, kUsual)] = 880.0;
+  counts.blocked[class_of(0, kUsual)] = 20.0;
+  counts.los[class_of(0, kUsual - 3)] = 20.0;
+  counts.blocked[class_of(0, kUsual - 3)] = 80.0;
+  hints.estimate(counts);
+  EXPECT_FALSE(hints.is_weak(class_of(0, kUsual)));
+  EXPECT_FALSE(hints.is_weak(class_of(0, kUsual - 2))) << "6 dB";
+  for (std::size_t hidden = 0; hidden < model::kHiddenClasses; ++hidden) {
+    EXPECT_TRUE(hints.is_weak(class_of(hidden, kUsual - 3))) << "9 dB";
+    EXPECT_TRUE(hints.is_weak(class_of(hidden, 0)));
+    EXPECT_FALSE(hints.is_weak(class_of(hidden, model::kStrengthClasses - 1))) << "unknown strength";
+  }
+  EXPECT_FALSE(hints.is_weak(model::kNoPowerClass));
+  // Where weak ranges are no more frequent in NLOS they say nothing.
+  counts.los[class_of(0, kUsual - 3)] = 880.0;
+  hints.estimate(counts);
+  EXPECT_FALSE(hints.is_weak(class_of(0, kUsual - 3)));
+}
+
 TEST(AnchorSolver, GradientWithNlosStatesIsTheDerivativeOfTheCost) {
   test::Random random(8);
   constexpr std::size_t kTags = 2;

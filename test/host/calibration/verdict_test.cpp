@@ -61,6 +61,15 @@ TEST(JudgeAnchor, ReflectionsSayNothingAgainstASurveyedPosition) {
   EXPECT_EQ(verdict_of(evidence), AnchorVerdict::kWeak) << "nothing shortens a range";
 }
 
+TEST(JudgeAnchor, AnAnchorHalfHiddenHasToBeKnownBetter) {
+  const Eigen::Matrix3d covariance_m2 = 0.1 * 0.1 * Eigen::Matrix3d::Identity();
+  AnchorEvidence evidence = good_evidence();
+  EXPECT_EQ(verdict_of(evidence, covariance_m2), AnchorVerdict::kOk);
+  evidence.ignored_share = 0.4;
+  EXPECT_EQ(verdict_of(evidence, covariance_m2), AnchorVerdict::kWeak);
+  EXPECT_EQ(verdict_of(evidence), AnchorVerdict::kOk);
+}
+
 TEST(JudgeAnchor, AMirrorThatIsNearlyAsLikelyIsMarked) {
   AnchorEvidence evidence = good_evidence();
   evidence.mirror->cost_excess = 1.0;
