@@ -62,9 +62,6 @@ enum class Mechanism : std::uint8_t {
   kCalibrationFrame,        // covariance: frame of the drive
   kCalibrationHeights,      // heights of poses from the poses or from the surface, the better of both
   kCalibrationRangeNoise,   // white and Gauss-Markov range noise
-  // smoother
-  kSmootherNlos,       // LOS of each range, from all ranges of its pair
-  kSmootherRangeBias,  // Gauss-Markov range bias
   kCount,
 };
 

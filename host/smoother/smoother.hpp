@@ -2,13 +2,16 @@
 // calibration. It is not causal and serves as a benchmark for the filter.
 //
 // The model is the filter's (docs/explanation/filter.md), as one least-squares problem. The unknowns are a
-// pose and the slow range bias of each pair at each odometry sample, and, common to all samples, the
-// odometry's scale and yaw-rate bias, the delay and the parameters of the calibration. The LOS probability of
-// a range uses all ranges of its pair, earlier and later. Gauss-Newton with block elimination: time and
-// memory are linear in the number of samples.
+// pose at each odometry sample, and, common to all samples, the odometry's scale and yaw-rate bias, the delay
+// and the parameters of the calibration. Each range has the weight that the filter's gate gave it and the
+// noise that the filter had found. Gauss-Newton with block elimination: time and memory are linear in the
+// number of samples.
 //
-// With the model schmidt, anchors with verdict ok, lever arms and frame are considered: they stay as
-// calibrated, and their uncertainty is in the covariance. With joint, all are estimated.
+// A slow range bias acts on the ranges of its pair alike, the error of an anchor on all of its ranges while
+// its direction stays: they are part of the noise, times the number of ranges that share them. With the model
+// schmidt these are anchors with verdict ok, and lever arms and frame are considered: they stay as
+// calibrated, and their uncertainty is in the covariance. With joint, anchors, lever arms and frame are
+// estimated.
 #pragma once
 
 #include <cstddef>
@@ -26,7 +29,7 @@ struct Result {
   double range_delay_s = 0.0;
   double odometry_delay_s = 0.0;
   std::size_t ranges_seen = 0;
-  double ranges_los = 0.0;    // sum of their LOS probabilities
+  double ranges_los = 0.0;    // sum of their weights: of their LOS probabilities
   filter::Counters counters;  // of the filter run that initializes it
   int rounds = 0;
   bool converged = false;  // the last round moved no pose by more than a millimetre
