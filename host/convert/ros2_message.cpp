@@ -18,8 +18,12 @@ namespace groma::convert {
 
 namespace {
 
-// By hand: deeper than any message; a type that contains itself is as deep.
+// By hand: deeper than any message.
 constexpr std::size_t kMaxDepth = 20;
+// By hand: more than any message that has ranges or poses. An element takes up to 50 times its bytes here.
+constexpr std::size_t kMaxElements = 1 << 20;
+// Some middlewares fill a message to a multiple of 4 bytes.
+constexpr std::size_t kMostPadding = 3;
 // Longer arrays of bytes are images and the like: one text.
 constexpr std::size_t kMaxByteElements = 1024;
 
@@ -81,7 +85,7 @@ std::optional<MessageField> parse_field(std::string_view line, std::string_view 
     field.count = MessageField::Count::kSequence;
     if (!bounds.empty() && !bounds.starts_with("<=")) {
       const std::optional<std::size_t> size = whole_number(bounds);
-      if (!size) throw std::invalid_argument(fmt::format("'{}' is no field", line));
+      if (!size || *size == 0) throw std::invalid_argument(fmt::format("'{}' is no field", line));
       field.count = MessageField::Count::kFixed;
       field.size = *size;
     }
@@ -138,11 +142,17 @@ class CdrReader {
     if (at_ > body_.size() || count > body_.size() - at_) ok_ = false;
     return ok_ ? count : 0;
   }
+  // Call it for each element of an array that is kept: a message may have only so many.
+  void count_element() {
+    if (++elements_ > kMaxElements) ok_ = false;
+  }
   [[nodiscard]] bool ok() const { return ok_; }
+  [[nodiscard]] bool is_at_end() const { return body_.size() - at_ <= kMostPadding; }
 
  private:
   std::string_view body_;
   std::size_t at_ = 0;
+  std::size_t elements_ = 0;
   bool swaps_ = false;
   bool ok_ = true;
 };
@@ -187,7 +197,10 @@ MessageValue read_field(CdrReader& cdr, const Types& types, const MessageField& 
   const std::size_t count = field.count == MessageField::Count::kFixed ? field.size : cdr.length();
   if (is_byte(field.type) && count > kMaxByteElements) return {std::string(cdr.take(count))};
   MessageValues elements;
-  for (std::size_t i = 0; i < count && cdr.ok(); ++i) elements.push_back(read_one(cdr, types, field.type));
+  for (std::size_t i = 0; i < count && cdr.ok(); ++i) {
+    elements.push_back(read_one(cdr, types, field.type));
+    cdr.count_element();
+  }
   return {std::move(elements)};
 }
 
@@ -235,7 +248,9 @@ bool FieldPath::is_of_each() const noexcept {
 
 MessageDefinition::MessageDefinition(std::string_view type, std::string_view text) : root_(short_name(type)) {
   parse(root_, text);
-  expect_types(types_[root_], 0);
+  std::set<std::string> open;
+  std::map<std::string, std::size_t> depths;
+  expect_types(root_, open, depths);
 }
 
 void MessageDefinition::parse(std::string_view type, std::string_view text) {
@@ -264,22 +279,31 @@ void MessageDefinition::parse(std::string_view type, std::string_view text) {
   finish();
 }
 
-void MessageDefinition::expect_types(const MessageFields& fields, std::size_t depth) const {
-  if (depth > kMaxDepth) throw std::invalid_argument("a type contains itself");
-  for (const MessageField& field : fields) {
+// Each type is visited once, because types that contain many of one another would take for ever.
+std::size_t MessageDefinition::expect_types(const std::string& type, std::set<std::string>& open,
+                                            std::map<std::string, std::size_t>& depths) const {
+  if (const auto known = depths.find(type); known != depths.end()) return known->second;
+  if (!open.insert(type).second)
+    throw std::invalid_argument(fmt::format("the type {} contains itself", type));
+  std::size_t depth = 0;
+  for (const MessageField& field : types_.find(type)->second) {
     if (is_primitive(field.type)) continue;
-    const auto found = types_.find(field.type);
-    if (found == types_.end())
+    if (!types_.contains(field.type))
       throw std::invalid_argument(fmt::format("the type {} of {} is not defined", field.type, field.name));
-    expect_types(found->second, depth + 1);
+    if (open.size() > kMaxDepth) throw std::invalid_argument(fmt::format("{} has too many levels", root_));
+    depth = std::max(depth, 1 + expect_types(field.type, open, depths));
   }
+  open.erase(type);
+  if (depth > kMaxDepth) throw std::invalid_argument(fmt::format("{} has too many levels", root_));
+  depths[type] = depth;
+  return depth;
 }
 
 std::optional<MessageValue> MessageDefinition::read(std::string_view cdr) const {
   CdrReader reader;
   if (!reader.open(cdr)) return std::nullopt;
   MessageValue value = read_fields(reader, types_, types_.find(root_)->second);
-  if (!reader.ok()) return std::nullopt;
+  if (!reader.ok() || !reader.is_at_end()) return std::nullopt;
   return value;
 }
 

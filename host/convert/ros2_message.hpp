@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <map>
 #include <optional>
+#include <set>
 #include <string>
 #include <string_view>
 #include <variant>
@@ -58,7 +59,7 @@ class MessageDefinition {
   // Throws std::invalid_argument with the problem.
   MessageDefinition(std::string_view type, std::string_view text);
 
-  // None: the bytes are no such message.
+  // None: the bytes are no such message, are longer than one, or have more than 2^20 elements in arrays.
   [[nodiscard]] std::optional<MessageValue> read(std::string_view cdr) const;
 
   // What is wrong with a path, such as "has no field x; its fields are y, z"; empty: it exists.
@@ -67,7 +68,10 @@ class MessageDefinition {
 
  private:
   void parse(std::string_view type, std::string_view text);
-  void expect_types(const MessageFields& fields, std::size_t depth) const;
+  // The levels of types within the type. open: the types that contain it; depths: those of known types.
+  // Throws std::invalid_argument if a type is unknown, contains itself, or has too many levels.
+  std::size_t expect_types(const std::string& type, std::set<std::string>& open,
+                           std::map<std::string, std::size_t>& depths) const;
 
   std::map<std::string, MessageFields, std::less<>> types_;
   std::string root_;

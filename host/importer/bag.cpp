@@ -19,6 +19,7 @@ namespace {
 
 constexpr std::string_view kZstdMagic = "\x28\xB5\x2F\xFD";
 constexpr std::string_view kSqliteMagic = "SQLite format 3";
+constexpr int kMaxMessageBytes = 512 << 20;
 constexpr const char* kDefinitions = "ros2msg";
 
 std::ifstream open(const std::filesystem::path& path) {
@@ -33,22 +34,32 @@ class McapBag final : public Bag {
   explicit McapBag(std::filesystem::path path) : path_(std::move(path)) {
     std::ifstream file = open(path_);
     std::optional<mcap::Content> content =
-        mcap::read(file, [](std::uint16_t /*channel*/, std::uint64_t /*time*/, std::string_view /*data*/) {});
+        mcap::read(file, [&](std::uint16_t /*channel*/, std::uint64_t time_ns, std::string_view /*data*/) {
+          begin_ns_ = std::min(begin_ns_.value_or(time_ns), time_ns);
+        });
     if (!content) throw io::DataError({path_}, "is no MCAP file", "give a recording of rosbag2");
     for (auto& [id, channel] : content->channels) {
       topic_of_[id] = topics_.size();
-      topics_.push_back(
-          {std::move(channel.topic), std::move(channel.schema_name), std::move(channel.message_encoding),
-           channel.schema_encoding == kDefinitions ? std::move(channel.schema_data) : "", channel.messages});
+      BagTopic& topic = topics_.emplace_back();
+      topic.name = std::move(channel.topic);
+      topic.type = channel.schema->name;
+      topic.encoding = std::move(channel.message_encoding);
+      // Aliases the schema, which is kept as a whole.
+      if (channel.schema->encoding == kDefinitions && !channel.schema->data.empty())
+        topic.definition = {channel.schema, &channel.schema->data};
+      topic.messages = channel.messages;
     }
-    if (content->damaged > 0) {
-      damage_ = fmt::format("{} chunks or records are damaged and were skipped", content->damaged);
-    } else if (!content->is_complete) {
-      damage_ = "the file ends before its end record; all messages before were read";
-    }
+    if (content->damaged > 0)
+      damage_ = fmt::format("{} chunks or records are damaged and were skipped, first {}", content->damaged,
+                            content->first_damage);
+    if (!content->is_complete)
+      damage_ +=
+          fmt::format("{}the file is not complete from byte {} on; all messages that are there were read",
+                      damage_.empty() ? "" : "; ", content->end);
   }
 
   [[nodiscard]] const std::vector<BagTopic>& topics() const override { return topics_; }
+  [[nodiscard]] std::uint64_t begin_ns() const override { return begin_ns_.value_or(0); }
   [[nodiscard]] std::string damage() const override { return damage_; }
 
   void read(const Take& take) override {
@@ -64,6 +75,7 @@ class McapBag final : public Bag {
   std::filesystem::path path_;
   std::vector<BagTopic> topics_;
   std::map<std::uint16_t, std::size_t> topic_of_;  // by channel
+  std::optional<std::uint64_t> begin_ns_;
   std::string damage_;
 };
 
@@ -74,35 +86,47 @@ class SqliteBag final : public Bag {
     const int code = sqlite3_open_v2(path_.c_str(), &raw, SQLITE_OPEN_READONLY, nullptr);
     database_.reset(raw);
     if (code != SQLITE_OK) fail();
+    // The file may come from anyone: it gets no views, no functions in its schema, and no values of any size.
+    sqlite3_db_config(raw, SQLITE_DBCONFIG_ENABLE_VIEW, 0, nullptr);
+    sqlite3_db_config(raw, SQLITE_DBCONFIG_TRUSTED_SCHEMA, 0, nullptr);
+    sqlite3_limit(raw, SQLITE_LIMIT_LENGTH, kMaxMessageBytes);
+    each_row("PRAGMA cell_size_check = ON", [](sqlite3_stmt* /*row*/) {});
     // A file that was cut can then be read up to its end.
     each_row("PRAGMA writable_schema = ON", [](sqlite3_stmt* /*row*/) {});
     if (!has_table("topics") || !has_table("messages"))
       throw io::DataError({path_}, "is no recording of rosbag2: it lacks the tables topics and messages",
                           "give a file that ros2 bag record has written");
-    std::map<std::string, std::string, std::less<>> definitions;
+    std::map<std::string, std::shared_ptr<const std::string>, std::less<>> definitions;  // by type
     if (has_table("message_definitions")) {
       each_row("SELECT topic_type, encoding, encoded_message_definition FROM message_definitions",
                [&](sqlite3_stmt* row) {
-                 if (text(row, 1) == kDefinitions) definitions.emplace(text(row, 0), text(row, 2));
+                 if (text(row, 1) == kDefinitions)
+                   definitions.emplace(text(row, 0), std::make_shared<const std::string>(text(row, 2)));
                });
     }
     each_row("SELECT id, name, type, serialization_format FROM topics ORDER BY id", [&](sqlite3_stmt* row) {
       topic_of_[sqlite3_column_int64(row, 0)] = topics_.size();
       const auto definition = definitions.find(text(row, 2));
       topics_.push_back({std::string(text(row, 1)), std::string(text(row, 2)), std::string(text(row, 3)),
-                         definition == definitions.end() ? "" : definition->second, 0});
+                         definition == definitions.end() ? nullptr : definition->second, 0});
     });
     try {
-      each_row("SELECT topic_id, COUNT(*) FROM messages GROUP BY topic_id", [&](sqlite3_stmt* row) {
-        const auto topic = topic_of_.find(sqlite3_column_int64(row, 0));
-        if (topic != topic_of_.end())
-          topics_[topic->second].messages = static_cast<std::uint64_t>(sqlite3_column_int64(row, 1));
-      });
-    } catch (const io::DataError&) {  // read() says what is damaged
+      each_row("SELECT topic_id, COUNT(*), MIN(timestamp) FROM messages GROUP BY topic_id",
+               [&](sqlite3_stmt* row) {
+                 const auto topic = topic_of_.find(sqlite3_column_int64(row, 0));
+                 if (topic == topic_of_.end()) return;
+                 topics_[topic->second].messages = static_cast<std::uint64_t>(sqlite3_column_int64(row, 1));
+                 const auto time_ns = static_cast<std::uint64_t>(sqlite3_column_int64(row, 2));
+                 begin_ns_ = std::min(begin_ns_.value_or(time_ns), time_ns);
+               });
+    } catch (const io::DataError&) {
+      // read() says what is damaged. Until then each topic may have messages.
+      for (BagTopic& topic : topics_) topic.messages = std::max<std::uint64_t>(topic.messages, 1);
     }
   }
 
   [[nodiscard]] const std::vector<BagTopic>& topics() const override { return topics_; }
+  [[nodiscard]] std::uint64_t begin_ns() const override { return begin_ns_.value_or(0); }
   [[nodiscard]] std::string damage() const override { return damage_; }
 
   // In the order of the rows: an index may be damaged where the rows are not.
@@ -126,7 +150,9 @@ class SqliteBag final : public Bag {
       if (count == 0) throw;
       damage_ = fmt::format("the file is damaged or cut; {} messages before were read", count);
     }
-    if (damaged > 0) damage_ = fmt::format("{} messages are damaged and were skipped", damaged);
+    if (damaged > 0)
+      damage_ +=
+          fmt::format("{}{} messages are damaged and were skipped", damage_.empty() ? "" : "; ", damaged);
   }
 
  private:
@@ -172,12 +198,16 @@ class SqliteBag final : public Bag {
   std::unique_ptr<sqlite3, Close> database_;
   std::vector<BagTopic> topics_;
   std::map<std::int64_t, std::size_t> topic_of_;  // by id
+  std::optional<std::uint64_t> begin_ns_;
   std::string damage_;
 };
 
 }  // namespace
 
 std::unique_ptr<Bag> open_bag(const std::filesystem::path& path) {
+  // Opening a pipe would wait for its writer, and a recording is read twice.
+  if (!std::filesystem::is_regular_file(path))
+    throw io::DataError({path}, "is not a regular file", "give a recording of rosbag2");
   std::string head(kSqliteMagic.size(), '\0');
   open(path).read(head.data(), static_cast<std::streamsize>(head.size()));
   if (head.starts_with(kSqliteMagic)) return std::make_unique<SqliteBag>(path);
@@ -193,6 +223,7 @@ std::vector<std::filesystem::path> bag_files(const std::filesystem::path& path) 
   std::vector<std::filesystem::path> files;
   for (const auto& entry : std::filesystem::directory_iterator(path)) {
     const std::string name = entry.path().filename();
+    if (!entry.is_regular_file()) continue;
     if (name.ends_with(".mcap") || name.ends_with(".db3") || name.ends_with(".zstd"))
       files.push_back(entry.path());
   }

@@ -169,7 +169,8 @@ class Program {
   void take(std::uint64_t log_time_ns, std::string_view data, io::Dataset& dataset) {
     ++messages_;
     const std::optional<MessageValue> message = definition_.read(data);
-    if (!message) return skip("the message does not have the layout of its definition");
+    if (!message)
+      return skip(fmt::format("its {} bytes do not have the layout of its definition", data.size()));
     std::size_t rows = 1;
     std::vector<std::vector<const MessageValue*>> values(origins_.size());
     bool is_of_each = false;
@@ -231,7 +232,7 @@ class Program {
                           fmt::format("topic {} is encoded as {}", topic.name, io::shown(topic.encoding)),
                           "give a recording of ROS 2, whose messages are cdr");
     std::string text = source.definition;
-    if (text.empty()) text = topic.definition;
+    if (text.empty() && topic.definition != nullptr) text = *topic.definition;
     if (text.empty()) text = convert::ros2_schema(topic.type);
     if (text.empty())
       throw io::DataError(
@@ -312,6 +313,28 @@ struct OpenBag {
   std::unique_ptr<Bag> bag;
 };
 
+// Whether the messages of both are decoded in the same way.
+bool is_alike(const BagTopic& a, const BagTopic& b) {
+  const std::string_view of_a = a.definition != nullptr ? std::string_view(*a.definition) : "";
+  const std::string_view of_b = b.definition != nullptr ? std::string_view(*b.definition) : "";
+  return a.type == b.type && a.encoding == b.encoding && of_a == of_b;
+}
+
+// A topic has one type and one definition in all files.
+void expect_one_type(const std::vector<OpenBag>& bags, const BagTopic& topic) {
+  for (const OpenBag& of : bags) {
+    for (const BagTopic& other : of.bag->topics()) {
+      if (other.name != topic.name || is_alike(other, topic)) continue;
+      throw io::DataError(
+          {of.path},
+          other.type != topic.type
+              ? fmt::format("topic {} has the types {} and {}", topic.name, topic.type, other.type)
+              : fmt::format("topic {} has two definitions of its type {}", topic.name, topic.type),
+          "import the recordings one by one, each into its own data set");
+    }
+  }
+}
+
 // The topics of all files, each once.
 std::vector<BagTopic> all_topics(const std::vector<OpenBag>& bags) {
   std::vector<BagTopic> topics;
@@ -335,6 +358,9 @@ void import_bags(std::span<const std::filesystem::path> inputs, const ImportMap&
   std::vector<OpenBag> bags;
   for (const std::filesystem::path& input : inputs)
     for (const std::filesystem::path& file : bag_files(input)) bags.push_back({file, open_bag(file)});
+  // The files of one recording follow one another, in whatever order they were given.
+  std::stable_sort(bags.begin(), bags.end(),
+                   [](const OpenBag& a, const OpenBag& b) { return a.bag->begin_ns() < b.bag->begin_ns(); });
   const std::vector<BagTopic> topics = all_topics(bags);
   const std::filesystem::path& path = inputs.front();
   const std::vector<Source> sources = map.sources.empty() ? automatic_sources(path, topics) : map.sources;
@@ -349,6 +375,7 @@ void import_bags(std::span<const std::filesystem::path> inputs, const ImportMap&
       throw io::ConfigError(source.place,
                             fmt::format("the recording has no topic {}", io::shown(source.from)),
                             fmt::format("its topics are {}", list_of(topics)));
+    expect_one_type(bags, *topic);
     programs_of.emplace(topic->name, programs.size());
     programs.emplace_back(path, *topic, source);
   }

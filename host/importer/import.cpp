@@ -3,7 +3,7 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <limits>
+#include <map>
 #include <set>
 #include <utility>
 
@@ -28,18 +28,9 @@ void apply_site(const ImportMap& map, io::Dataset& dataset) {
 
 // Several sources of one table are merged by time; one source keeps its order.
 void merge_by_time(const std::vector<ImportedTable>& tables, io::Dataset& dataset) {
-  const auto sources_of = [&](Table table) {
-    return std::count_if(tables.begin(), tables.end(), [&](const auto& of) { return of.table == table; });
-  };
-  const auto sort = [&](Table table, auto& samples) {
-    if (sources_of(table) < 2) return;
-    std::stable_sort(samples.begin(), samples.end(),
-                     [](const auto& a, const auto& b) { return a.t_s < b.t_s; });
-  };
-  sort(Table::kRanges, dataset.ranges);
-  sort(Table::kOdometry, dataset.odometry);
-  sort(Table::kPosePrior, dataset.pose_prior);
-  sort(Table::kGroundTruth, dataset.ground_truth);
+  std::map<Table, std::size_t> sources;
+  for (const ImportedTable& imported : tables)
+    if (++sources[imported.table] == 2) sort_by_time(imported.table, dataset);
 }
 
 void expect_tags(const std::filesystem::path& path, const io::Dataset& dataset) {

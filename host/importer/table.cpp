@@ -150,10 +150,10 @@ template <typename Node>
 std::string add_node(const Row& row, std::vector<Node>& nodes) {
   const std::optional<model::NodeId> id = row.id(0);
   if (!id) return "the id is no number from 0 to 65535";
-  if (std::any_of(nodes.begin(), nodes.end(), [&](const Node& node) { return node.id == *id; }))
-    return fmt::format("id {} occurs twice", *id);
-  nodes.push_back({*id, {row[1], row[2], row[3]}});
-  std::sort(nodes.begin(), nodes.end(), [](const Node& a, const Node& b) { return a.id < b.id; });
+  const auto at = std::lower_bound(nodes.begin(), nodes.end(), *id,
+                                   [](const Node& node, model::NodeId of) { return node.id < of; });
+  if (at != nodes.end() && at->id == *id) return fmt::format("id {} occurs twice", *id);
+  nodes.insert(at, {*id, {row[1], row[2], row[3]}});
   return {};
 }
 
@@ -270,6 +270,14 @@ std::vector<double> times_of(Table table, const io::Dataset& dataset) {
 
 std::size_t rows_of(Table table, const io::Dataset& dataset) {
   return with_samples(table, dataset, [](const auto& samples) { return samples.size(); });
+}
+
+void sort_by_time(Table table, io::Dataset& dataset) {
+  with_samples(table, dataset, []<class Sample>(std::vector<Sample>& samples) {
+    if constexpr (!std::is_same_v<Sample, model::Tag> && !std::is_same_v<Sample, model::Anchor>)
+      std::stable_sort(samples.begin(), samples.end(),
+                       [](const Sample& a, const Sample& b) { return a.t_s < b.t_s; });
+  });
 }
 
 void clear(Table table, io::Dataset& dataset) {

@@ -77,6 +77,9 @@ struct Cell {
 
 [[nodiscard]] std::size_t rows_of(Table table, const io::Dataset& dataset);
 
+// Rows of one time keep their order. Tags and anchors stay as they are.
+void sort_by_time(Table table, io::Dataset& dataset);
+
 // Empties the table.
 void clear(Table table, io::Dataset& dataset);
 

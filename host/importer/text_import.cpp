@@ -48,10 +48,13 @@ void split(std::string_view line, char separator, Fields& out) {
   }
 }
 
+// The names of a header for a message. A file that is no text may have a header of any length.
 std::string joined(const Fields& names) {
+  constexpr std::size_t kMostNames = 40;
   std::string text;
-  for (const std::string_view name : names) text += (text.empty() ? "" : ", ") + std::string(name);
-  return text;
+  for (std::size_t i = 0; i < names.size() && i < kMostNames; ++i)
+    text += (text.empty() ? "" : ", ") + io::escaped(names[i]);
+  return names.size() > kMostNames ? text + ", ..." : text;
 }
 
 // "2022-08-15 09:42:24.765958", with a T or a blank, in UTC: seconds since 1970. None: it is no date.
@@ -75,7 +78,9 @@ std::optional<double> parse_date(std::string_view text) {
     return std::nullopt;
   const std::chrono::year_month_day date{std::chrono::year(year), std::chrono::month(month),
                                          std::chrono::day(day)};
-  if (!date.ok()) return std::nullopt;
+  const bool is_time = hours >= 0 && hours < 24 && minutes >= 0 && minutes < 60 && seconds >= 0.0 &&
+                       seconds < 61.0;  // with a leap second
+  if (!date.ok() || !is_time) return std::nullopt;
   const auto days = std::chrono::sys_days(date).time_since_epoch().count();
   return 86400.0 * static_cast<double>(days) + 3600.0 * hours + 60.0 * minutes + seconds;
 }
@@ -103,8 +108,11 @@ class TextRows {
 
   // The index of a column in each row.
   [[nodiscard]] std::size_t index_of(const SourceColumn& column) const {
-    if (column.number > 0 && (names_.empty() || !has(column.name))) return column.number - 1;
+    if (column.number > 0 && !has(column.name)) return column.number - 1;
     const auto found = std::find(names_.begin(), names_.end(), column.name);
+    if (found != names_.end() && std::find(found + 1, names_.end(), column.name) != names_.end())
+      throw io::DataError({path_, header_line_, 0}, fmt::format("column {} occurs twice", column.name),
+                          "rename one of them, or write the number of the column in the map");
     if (found == names_.end()) {
       throw io::DataError({path_, header_line_, 0}, fmt::format("column {} is missing", column.name),
                           names_.empty() ? "write the number of the column in the map"
@@ -142,6 +150,7 @@ class TextRows {
  private:
   // The last comment before the first row.
   void read_comment(std::string_view text) {
+    if (text.starts_with(io::kByteOrderMark)) text.remove_prefix(io::kByteOrderMark.size());
     while (!text.empty()) {
       const std::size_t end = text.find('\n');
       std::string_view line = trimmed(text.substr(0, end));

@@ -16,6 +16,9 @@
 
 namespace groma::io {
 
+// Of UTF-8, which some programs write before a text.
+inline constexpr std::string_view kByteOrderMark = "\xef\xbb\xbf";
+
 // Iterates over the lines of a text; skips blank lines and comments.
 class LineReader {
  public:

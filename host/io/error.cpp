@@ -14,9 +14,9 @@ std::string to_string(const FilePlace& place) {
 Error::Error(const FilePlace& place, std::string_view problem, std::string_view remedy)
     : std::runtime_error(fmt::format("{}: {}; {}", to_string(place), problem, remedy)), place_(place) {}
 
-std::string shown(std::string_view text) {
+std::string escaped(std::string_view text) {
   constexpr std::size_t kMaxShown = 40;
-  std::string out = "'";
+  std::string out;
   for (const char c : text.substr(0, kMaxShown)) {
     const bool printable = c >= ' ' && c <= '~';
     if (printable) {
@@ -26,8 +26,11 @@ std::string shown(std::string_view text) {
     }
   }
   if (text.size() > kMaxShown) out += "...";
-  out += '\'';
   return out;
+}
+
+std::string shown(std::string_view text) {
+  return fmt::format("'{}'", escaped(text));
 }
 
 }  // namespace groma::io

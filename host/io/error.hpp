@@ -55,7 +55,9 @@ class DeviceError : public Error {
   using Error::Error;
 };
 
-// Text of a file, quoted for a message: at most 40 characters, with non-printable ones escaped.
+// Text of a file for a message: at most 40 characters, with non-printable ones escaped.
+[[nodiscard]] std::string escaped(std::string_view text);
+// The same in quotes.
 [[nodiscard]] std::string shown(std::string_view text);
 
 }  // namespace groma::io

@@ -12,6 +12,7 @@ namespace groma::mcap {
 inline constexpr std::string_view kMagic{"\x89MCAP0\r\n", 8};
 
 enum class Opcode : std::uint8_t {
+  kNone = 0x00,  // of no record
   kHeader = 0x01,
   kFooter = 0x02,
   kSchema = 0x03,
@@ -21,6 +22,7 @@ enum class Opcode : std::uint8_t {
   kMessageIndex = 0x07,
   kChunkIndex = 0x08,
   kStatistics = 0x0B,
+  kMetadata = 0x0C,
   kSummaryOffset = 0x0E,
   kDataEnd = 0x0F,
 };

@@ -4,6 +4,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <sqlite3.h>
+#include <sys/stat.h>
 
 #include <cmath>
 #include <numbers>
@@ -253,7 +254,7 @@ TEST_F(Import, ATornRecordingGivesWhatIsThereAndAWarning) {
   EXPECT_GT(imported.dataset.ranges.size(), 100U);
   EXPECT_LT(imported.dataset.ranges.size(), run.ranges.size());
   ASSERT_EQ(imported.warnings.size(), 1U);
-  EXPECT_THAT(imported.warnings[0], HasSubstr("ends before its end record"));
+  EXPECT_THAT(imported.warnings[0], HasSubstr("is not complete from byte 3791 on"));
   folder_.write("drive.mcap", bytes.substr(0, 100));
   EXPECT_THAT(problem(Format::kRosbag2, {"drive.mcap"}, map), HasSubstr("no topic has a type that is known"));
 }
@@ -371,10 +372,10 @@ void write_sqlite(const std::string& mcap, const std::filesystem::path& path) {
   for (const auto& [id, channel] : content->channels) {
     const std::string query =
         fmt::format("INSERT INTO topics VALUES ({}, CAST(? AS TEXT), CAST(? AS TEXT), 'cdr')", id + 1);
-    run(query.c_str(), {channel.topic, channel.schema_name});
+    run(query.c_str(), {channel.topic, channel.schema->name});
     run("INSERT INTO message_definitions(topic_type, encoding, encoded_message_definition) "
         "VALUES (CAST(? AS TEXT), 'ros2msg', CAST(? AS TEXT))",
-        {channel.schema_name, channel.schema_data});
+        {channel.schema->name, channel.schema->data});
   }
   run("COMMIT", {});
   ASSERT_EQ(sqlite3_close(database), SQLITE_OK);
@@ -401,6 +402,101 @@ TEST_F(Import, SqliteGivesTheSameAsMcap) {
     folder_.write("torn.db3", bytes);
     static_cast<void>(problem(Format::kRosbag2, {"torn.db3"}, tags));  // an error, or what is left
   }
+}
+
+// ros2 bag record splits a recording into drive_0 to drive_10 and more, which a shell sorts otherwise.
+TEST_F(Import, FilesOfOneRecordingFollowByTime) {
+  const io::Dataset run = test::make_small_run(12.0, 1);
+  const auto part = [&](double from_s, double to_s) {
+    io::Dataset out = run;
+    const auto is_outside = [&](const auto& sample) { return sample.t_s < from_s || sample.t_s >= to_s; };
+    std::erase_if(out.ranges, is_outside);
+    std::erase_if(out.odometry, is_outside);
+    std::erase_if(out.pose_prior, is_outside);
+    std::erase_if(out.ground_truth, is_outside);
+    return convert::to_mcap({.dataset = &out}, convert::Format::kRos2).bytes;
+  };
+  folder_.write("bag/drive_2.mcap", part(0.0, 4.0));
+  folder_.write("bag/drive_10.mcap", part(4.0, 12.0));
+  folder_.write("bag/more.mcap/none", "a folder");
+  const std::string tags = "tags: [{id: 1, lever_arm_m: [0, 0, 1]}, {id: 2, lever_arm_m: [0, 0, 1]}]\n";
+  const Imported imported = import(Format::kRosbag2, {"bag"}, tags);
+  ASSERT_EQ(imported.dataset.odometry.size(), run.odometry.size());
+  for (std::size_t i = 0; i < run.odometry.size(); ++i)
+    ASSERT_NEAR(imported.dataset.odometry[i].t_s, run.odometry[i].t_s, 1e-9);
+
+  std::string other = part(4.0, 12.0);
+  const std::string type = "geometry_msgs/msg/TwistWithCovarianceStamped";
+  for (std::size_t at = 0; (at = other.find(type, at)) != std::string::npos;) other[at] = 'G';
+  other.replace(other.size() - 8 - 4, 4, 4, '\0');  // no checksum of the summary
+  folder_.write("bag/drive_10.mcap", other);
+  EXPECT_THAT(problem(Format::kRosbag2, {"bag"}, tags),
+              AllOf(HasSubstr("drive_10.mcap: topic /groma/input/odometry has the types"),
+                    HasSubstr("Geometry_msgs/msg/TwistWith")));
+}
+
+TEST_F(Import, SeveralSourcesOfASensorAreMergedByTime) {
+  folder_.write("a.csv", "t_s,omega_radps\n1,0.5\n3,0.5\n");
+  folder_.write("b.csv", "t_s,omega_radps\n2,0.25\n");
+  const Imported imported = import(Format::kCsv, {"a.csv", "b.csv"}, "sources: [{to: imu}]\n");
+  const auto& samples = model::samples_of<model::YawRateSample>(imported.dataset.sensor_samples);
+  ASSERT_EQ(samples.size(), 3U);
+  EXPECT_EQ(samples[1].omega_radps, 0.25);
+}
+
+TEST_F(Import, ReadsTextOfOtherPrograms) {
+  folder_.write("marked.csv", "\xef\xbb\xbf# t_s,x_m,y_m,yaw_rad\n1,2,3,0.5\n");
+  EXPECT_EQ(problem(Format::kCsv, {"marked.csv"}, "sources: [{to: groundtruth, header: comment}]\n"), "");
+  folder_.write("twice.csv", "t_s,x_m,x_m,y_m,yaw_rad\n1,2,9,3,0.5\n");
+  EXPECT_THAT(problem(Format::kCsv, {"twice.csv"}, "sources: [{to: groundtruth}]\n"),
+              HasSubstr("twice.csv:1: column x_m occurs twice"));
+  EXPECT_EQ(problem(Format::kCsv, {"twice.csv"}, "sources: [{to: groundtruth, columns: {x_m: 2}}]\n"), "");
+  for (const char* date : {"2022-08-15 24:42:24.5", "2022-08-15 09:60:24", "2022-08-15 09:42:61",
+                           "2022-08-15 -9:42:24", "2022-08-15 09:42:-4", "2022-13-15 09:42:24"}) {
+    folder_.write("dates.csv", fmt::format("t_s,vx_mps,omega_radps\n{},1,0\n", date));
+    EXPECT_THAT(problem(Format::kCsv, {"dates.csv"}, "sources: [{to: odometry, units: {time: date}}]\n"),
+                HasSubstr("is no date"))
+        << date;
+  }
+  // A recording that is given as a table must not reach the terminal.
+  std::string binary;
+  for (int i = 0; i < 30000; ++i)
+    binary += i % 3 == 0 ? "\x1b[2J" : (i % 3 == 1 ? "," : std::string(60, '\0'));
+  folder_.write("binary.csv", binary);
+  const std::string message = problem(Format::kCsv, {"binary.csv"});
+  EXPECT_THAT(message, HasSubstr("are not those of a data set"));
+  EXPECT_LT(message.size(), 8000U);
+  EXPECT_EQ(message.find('\x1b'), std::string::npos);
+}
+
+TEST_F(Import, ASqliteFileRunsNothing) {
+  const auto create = [&](const char* name, const std::string& statements) {
+    sqlite3* database = nullptr;
+    ASSERT_EQ(sqlite3_open((folder_ / name).c_str(), &database), SQLITE_OK);
+    char* error = nullptr;
+    EXPECT_EQ(sqlite3_exec(database, statements.c_str(), nullptr, nullptr, &error), SQLITE_OK) << error;
+    sqlite3_close(database);
+  };
+  const std::string topics =
+      "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT, serialization_format TEXT);"
+      "INSERT INTO topics VALUES (1, '/odom', 'nav_msgs/msg/Odometry', 'cdr');";
+  // A view without end, which the schema calls a table.
+  create("view.db3",
+         topics +
+             "CREATE VIEW messages AS WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n)"
+             "SELECT i AS id, 1 AS topic_id, i AS timestamp, x'00' AS data FROM n;"
+             "PRAGMA writable_schema = ON;"
+             "UPDATE sqlite_master SET type = 'table' WHERE name = 'messages';");
+  EXPECT_THAT(problem(Format::kRosbag2, {"view.db3"}), HasSubstr("cannot be read"));
+  // A row of some bytes whose value has 900 MB.
+  create("large.db3",
+         topics +
+             "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, "
+             "data BLOB GENERATED ALWAYS AS (zeroblob(900000000)) VIRTUAL);"
+             "INSERT INTO messages(id, topic_id, timestamp) VALUES (1, 1, 5);");
+  EXPECT_THAT(problem(Format::kRosbag2, {"large.db3"}), HasSubstr("cannot be read"));
+  ASSERT_EQ(::mkfifo((folder_ / "pipe").c_str(), 0600), 0);
+  EXPECT_THAT(problem(Format::kRosbag2, {"pipe"}), HasSubstr("is not a regular file"));
 }
 
 TEST_F(Import, SurvivesRandomBytes) {

@@ -1,5 +1,6 @@
 #include "host/convert/ros2_message.hpp"
 
+#include <fmt/format.h>
 #include <gtest/gtest.h>
 
 #include <stdexcept>
@@ -105,7 +106,44 @@ TEST(Ros2Message, RejectsDefinitionsThatCannotBeRead) {
   EXPECT_THROW(define("uint8\n"), std::invalid_argument);
   EXPECT_THROW(define("uint8[x] a\n"), std::invalid_argument);
   EXPECT_THROW(define("A again\n"), std::invalid_argument);
+  EXPECT_THROW(define("A[0] none\n"), std::invalid_argument) << "elements without bytes have no end";
   EXPECT_NO_THROW(define("")) << "an empty message";
+  // Ten of each next level: 10^19 types, if each were looked at.
+  std::string wide;
+  for (int level = 0; level < 20; ++level) {
+    if (level > 0) wide += fmt::format("==========\nMSG: pkg/L{}\n", level);
+    for (int i = 0; i < 10; ++i)
+      wide += level < 19 ? fmt::format("pkg/L{} a{}\n", level + 1, i) : fmt::format("uint8 a{}\n", i);
+  }
+  EXPECT_NO_THROW(define(wide.c_str()));
+  std::string deep;
+  for (int level = 0; level < 100; ++level)
+    deep += fmt::format("pkg/L{} a\n==========\nMSG: pkg/L{}\n", level, level);
+  EXPECT_THROW(define((deep + "uint8 a\n").c_str()), std::invalid_argument);
+}
+
+TEST(Ros2Message, IsReadToItsEnd) {
+  const MessageDefinition definition("pkg/msg/One", "uint8 a\n");
+  const std::string bytes("\0\1\0\0\x05", 5);
+  EXPECT_TRUE(definition.read(bytes));
+  EXPECT_TRUE(definition.read(bytes + std::string(3, '\0'))) << "filled to 4 bytes";
+  EXPECT_FALSE(definition.read(bytes + std::string(4, '\0'))) << "the message of another type";
+}
+
+TEST(Ros2Message, HasABoundedNumberOfElements) {
+  const MessageDefinition definition("pkg/msg/Many", "int16[] a\n");
+  const auto many = [](std::uint32_t count) {
+    CdrWriter out;
+    out.length(count);
+    return out.message() + std::string(2 * std::size_t{count}, '\0');
+  };
+  EXPECT_TRUE(definition.read(many(1 << 20)));
+  EXPECT_FALSE(definition.read(many((1 << 20) + 1)));
+  CdrWriter lie;
+  lie.length(0xFFFFFFFF);
+  EXPECT_FALSE(definition.read(lie.message()));
+  EXPECT_FALSE(MessageDefinition("pkg/msg/Text", "string a\n").read(lie.message()));
+  EXPECT_FALSE(MessageDefinition("pkg/msg/Text", "wstring a\n").read(lie.message()));
 }
 
 TEST(Ros2Message, ReadsEachTypeThatConvertWrites) {

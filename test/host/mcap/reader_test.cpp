@@ -1,5 +1,6 @@
 #include "host/mcap/reader.hpp"
 
+#include <fmt/format.h>
 #include <gtest/gtest.h>
 #include <lz4frame.h>
 #include <zstd.h>
@@ -53,8 +54,8 @@ void append_record(std::string& out, Opcode opcode, std::string_view body) {
   out += body;
 }
 
-// A file whose only chunk holds schema, channel and 100 messages, compressed.
-std::string compressed_file(const std::string& compression) {
+// Schema and channel 7, then 100 messages.
+std::string records_of_chunk() {
   std::string records;
   std::string body;
   append(body, std::uint16_t{1});
@@ -73,23 +74,33 @@ std::string compressed_file(const std::string& compression) {
     append(body, std::uint64_t{i});
     append_record(records, Opcode::kMessage, body + text_of(i));
   }
+  return records;
+}
+
+// A file with one chunk. size: as the chunk states it.
+std::string file_of_chunk(const std::string& compression, const std::string& content, std::uint64_t size,
+                          std::uint32_t crc) {
+  std::string body;
+  append(body, std::uint64_t{0});
+  append(body, std::uint64_t{99});
+  append(body, size);
+  append(body, crc);
+  append_text(body, compression);
+  append(body, std::uint64_t{content.size()});
+  std::string file(kMagic);
+  append_record(file, Opcode::kChunk, body + content);
+  append_record(file, Opcode::kDataEnd, std::string(4, '\0'));
+  return file;
+}
+
+std::string compressed_file(const std::string& compression) {
+  const std::string records = records_of_chunk();
   std::string compressed(2 * records.size() + 1000, '\0');
   compressed.resize(compression == "zstd" ? ZSTD_compress(compressed.data(), compressed.size(),
                                                           records.data(), records.size(), 3)
                                           : LZ4F_compressFrame(compressed.data(), compressed.size(),
                                                                records.data(), records.size(), nullptr));
-  body.clear();
-  append(body, std::uint64_t{0});
-  append(body, std::uint64_t{99});
-  append(body, std::uint64_t{records.size()});
-  append(body, crc_of(records));
-  append_text(body, compression);
-  append(body, std::uint64_t{compressed.size()});
-  body += compressed;
-  std::string file(kMagic);
-  append_record(file, Opcode::kChunk, body);
-  append_record(file, Opcode::kDataEnd, std::string(4, '\0'));
-  return file;
+  return file_of_chunk(compression, compressed, records.size(), crc_of(records));
 }
 
 TEST(McapReader, ReadsWhatTheWriterWrites) {
@@ -101,9 +112,9 @@ TEST(McapReader, ReadsWhatTheWriterWrites) {
   const Channel& channel = read.content->channels.begin()->second;
   EXPECT_EQ(channel.topic, "/ranges");
   EXPECT_EQ(channel.message_encoding, "cdr");
-  EXPECT_EQ(channel.schema_name, "pkg/msg/Ranges");
-  EXPECT_EQ(channel.schema_encoding, "ros2msg");
-  EXPECT_EQ(channel.schema_data, "float64 range\n");
+  EXPECT_EQ(channel.schema->name, "pkg/msg/Ranges");
+  EXPECT_EQ(channel.schema->encoding, "ros2msg");
+  EXPECT_EQ(channel.schema->data, "float64 range\n");
   EXPECT_EQ(channel.messages, 50000U);
   ASSERT_EQ(read.messages.size(), 50000U);
   for (std::size_t i = 0; i < read.messages.size(); ++i) ASSERT_EQ(read.messages[i], text_of(i));
@@ -116,7 +127,7 @@ TEST(McapReader, ReadsCompressedChunks) {
     EXPECT_EQ(read.content->damaged, 0U) << compression;
     ASSERT_EQ(read.messages.size(), 100U) << compression;
     EXPECT_EQ(read.messages[99], text_of(99));
-    EXPECT_EQ(read.content->channels.at(7).schema_name, "pkg/msg/Ranges");
+    EXPECT_EQ(read.content->channels.at(7).schema->name, "pkg/msg/Ranges");
   }
 }
 
@@ -128,9 +139,108 @@ TEST(McapReader, SkipsAndCountsADamagedChunk) {
     EXPECT_EQ(read.content->damaged, 1U) << compression;
     EXPECT_TRUE(read.messages.empty()) << compression;
   }
-  std::string unknown = compressed_file("zstd");
-  unknown.replace(unknown.find("zstd"), 4, "lzma");
-  EXPECT_EQ(read_bytes(unknown).content->damaged, 1U);
+}
+
+TEST(McapReader, SaysWhatIsDamagedAndWhere) {
+  const std::string records = records_of_chunk();
+  const auto damage = [](const std::string& bytes) { return read_bytes(bytes).content->first_damage; };
+  EXPECT_EQ(damage(file_of_chunk("", records, records.size(), 0)), "");
+  EXPECT_EQ(damage(file_of_chunk("", records, records.size(), 1)),
+            "the chunk at byte 8: its checksum is wrong");
+  EXPECT_EQ(damage(file_of_chunk("lzma", records, records.size(), 0)),
+            "the chunk at byte 8: its compression 'lzma' is neither zstd nor lz4");
+  EXPECT_EQ(damage(file_of_chunk("zstd", records, records.size(), 0)),
+            "the chunk at byte 8: it cannot be decompressed (zstd)");
+  EXPECT_EQ(damage(file_of_chunk("", records, records.size() + 1, 0)),
+            fmt::format("the chunk at byte 8: it has {} bytes, not {}", records.size(), records.size() + 1));
+  EXPECT_EQ(damage(file_of_chunk("", records.substr(0, records.size() - 1), records.size() - 1, 0)),
+            fmt::format("the chunk at byte 8: its record at byte {}: it is longer than the chunk",
+                        records.size() - 9 - 22 - text_of(99).size()));
+  std::string early(kMagic);
+  append_record(early, Opcode::kMetadata, "any");
+  append_record(early, Opcode::kSchema, "too short");
+  append_record(early, Opcode::kMessage, std::string(22, '\0'));
+  const Read read = read_bytes(early);
+  EXPECT_EQ(read.content->damaged, 2U);
+  EXPECT_EQ(read.content->first_damage, "the record at byte 20: it is too short");
+  EXPECT_EQ(read.content->end, early.size());
+}
+
+// Sizes are those of 64 bits that a few bytes of a file can state.
+TEST(McapReader, AllocatesNoMoreThanTheFileCanContain) {
+  const std::string small(100, 'x');
+  for (const std::uint64_t size : {std::uint64_t{1} << 30U, std::uint64_t{1} << 40U, ~std::uint64_t{0}}) {
+    for (const char* compression : {"", "zstd", "lz4"}) {
+      const std::string first = read_bytes(file_of_chunk(compression, small, size, 0)).content->first_damage;
+      EXPECT_EQ(first, fmt::format("the chunk at byte 8: 100 bytes cannot contain {} bytes", size));
+    }
+    for (const Opcode opcode : {Opcode::kSchema, Opcode::kMessage, Opcode::kChunk, Opcode::kMetadata}) {
+      std::string bytes(kMagic);
+      append(bytes, static_cast<std::uint8_t>(opcode));
+      append(bytes, size);
+      const Read read = read_bytes(bytes + small);
+      EXPECT_FALSE(read.content->is_complete);
+      EXPECT_EQ(read.content->end, kMagic.size());
+    }
+  }
+  // The frame states 4 GiB.
+  EXPECT_FALSE(decompress_zstd(std::string("\x28\xB5\x2F\xFD\xE0\0\0\0\0\1\0\0\0\1\0\0", 16)));
+  EXPECT_FALSE(decompress_zstd("")) << "no frame";
+}
+
+TEST(McapReader, ManyChannelsShareOneSchema) {
+  std::string bytes(kMagic);
+  std::string body;
+  append(body, std::uint16_t{1});
+  for (const std::string& text :
+       {std::string("pkg/msg/A"), std::string("ros2msg"), std::string(1 << 20, '#')})
+    append_text(body, text);
+  append_record(bytes, Opcode::kSchema, body);
+  for (std::uint32_t id = 0; id <= 0xFFFF; ++id) {
+    body.clear();
+    append(body, static_cast<std::uint16_t>(id));
+    append(body, std::uint16_t{1});
+    for (const char* text : {"/a", "cdr", ""}) append_text(body, text);
+    append_record(bytes, Opcode::kChannel, body);
+  }
+  const Read read = read_bytes(bytes);
+  ASSERT_EQ(read.content->channels.size(), 65536U);
+  EXPECT_EQ(read.content->channels.at(65535).schema, read.content->channels.at(0).schema)
+      << "64 GiB otherwise";
+}
+
+TEST(McapReader, ZerosAfterALossOfPowerAreTheEnd) {
+  const std::string whole = file_of(2000);
+  const Read read = read_bytes(whole.substr(0, whole.size() / 2) + std::string(10000, '\0'));
+  EXPECT_FALSE(read.content->is_complete);
+  std::string zeros(kMagic);
+  append_record(zeros, Opcode::kMetadata, "any");
+  const std::uint64_t end = zeros.size();
+  EXPECT_EQ(read_bytes(zeros + std::string(10000, '\0')).content->end, end);
+}
+
+// Where the first chunk defines the channels, its loss must not cost the others.
+TEST(McapReader, FindsChannelsInTheSummary) {
+  std::string bytes = file_of(50000);
+  const std::size_t schema_at = bytes.find('\3', kMagic.size() + 9 + 4 + 4 + 4 + 5);
+  ASSERT_EQ(bytes[schema_at], '\3');
+  bytes[schema_at] = '\x70';
+  const std::size_t channel_at = schema_at + 9 + static_cast<std::uint8_t>(bytes[schema_at + 1]);
+  ASSERT_EQ(bytes[channel_at], '\4');
+  bytes[channel_at] = '\x70';
+  const Read read = read_bytes(bytes);
+  EXPECT_EQ(read.messages.size(), 50000U);
+  EXPECT_EQ(read.content->channels.begin()->second.schema->name, "pkg/msg/Ranges");
+  EXPECT_EQ(read.content->damaged, 0U);
+  // Without the summary they are unknown.
+  const Read cut = read_bytes(bytes.substr(0, bytes.size() - 1));
+  EXPECT_TRUE(cut.messages.empty());
+  EXPECT_NE(cut.content->first_damage.find("its channel 0 is not defined"), std::string::npos);
+  // A summary whose checksum is wrong is not used.
+  std::string wrong = bytes;
+  const std::size_t name_at = wrong.rfind("pkg/msg/Ranges");
+  wrong[name_at] = 'q';
+  EXPECT_TRUE(read_bytes(wrong).messages.empty());
 }
 
 TEST(McapReader, ATornFileGivesTheMessagesBefore) {
