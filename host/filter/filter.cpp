@@ -202,7 +202,7 @@ RangeResult Filter::correct(const model::RangeSample& range, const PairPlace& pa
   RangeResult result = innovation(range.range_m, predicted, projected.variance);  // residual of (17), and S
   weigh(range, pair, result);
   watch_slip(pair, predicted, result);
-  if (result.weight > 0.0) update(predicted, pair, projected, result);  // x += K (z - z_n), Schmidt update
+  if (result.weight > 0.0) update(predicted, projected, result);  // x += K (z - z_n), Schmidt update
   tune(pair, result);
   if (result.weight > 0.0) motion().follow_chart();
   return result;
@@ -234,11 +234,9 @@ RangeResult Filter::innovation(double range_m, const RangeMeasurement& predicted
   return result;
 }
 
-void Filter::update(const RangeMeasurement& predicted, const PairPlace& pair, Projected& projected,
-                    RangeResult& result) noexcept {
+void Filter::update(const RangeMeasurement& predicted, Projected& projected, RangeResult& result) noexcept {
   // K = P Hᵀ / S. A weight below one inflates the noise: S / weight in place of S.
-  const double variance =
-      result.innovation_variance_m2 / result.weight + now_.gate.regained_variance_m2(pair.slot, pair.tag);
+  const double variance = result.innovation_variance_m2 / result.weight + result.regained_variance_m2;
   const CoreVector change = projected.core * (result.innovation_m / variance);
   result.correction = change.head<3>();
   add(change);
@@ -252,6 +250,7 @@ void Filter::weigh(const model::RangeSample& range, const PairPlace& pair, Range
   result.hint_ratio = now_.gate.hint().likelihood_ratio(powers);  // before the gate counts this range
   result.weight = now_.gate.weigh(pair.slot, pair.tag, now_.t_s, result.innovation_m,
                                   result.innovation_variance_m2, powers);
+  result.regained_variance_m2 = now_.gate.regained_variance_m2(pair.slot, pair.tag);
   if (model::is_ablated(Mechanism::kGate)) result.weight = std::isfinite(result.innovation_m) ? 1.0 : 0.0;
   result.outcome = result.weight > 0.0 ? RangeOutcome::kUsed : RangeOutcome::kGated;
   result.nlos = now_.gate.nlos(pair.slot, pair.tag);

@@ -57,9 +57,10 @@ struct RangeResult {
   // S without the contribution of the pose: noise, biases, anchors. NaN with the original model, whose
   // ranges cannot test the map because it has no biases.
   double map_variance_m2 = std::numeric_limits<double>::quiet_NaN();
-  double weight = 0.0;      // 0 gated, 1 full
-  double nlos = 0.0;        // probability of NLOS, from the pair's history and this range
-  double hint_ratio = 1.0;  // likelihood ratio NLOS / LOS of its received powers
+  double weight = 0.0;                // 0 gated, 1 full
+  double regained_variance_m2 = 0.0;  // of its noise, after a silence of the pair: see gate.hpp
+  double nlos = 0.0;                  // probability of NLOS, from the pair's history and this range
+  double hint_ratio = 1.0;            // likelihood ratio NLOS / LOS of its received powers
   Eigen::Vector3d correction = Eigen::Vector3d::Zero();  // correction of x, y, theta
 };
 
@@ -226,8 +227,7 @@ class Filter {
   [[nodiscard]] RangeResult innovation(double range_m, const RangeMeasurement& predicted,
                                        double variance_m2) const noexcept;
   // Kalman update of the core, consider (Schmidt) update of the parameters.
-  void update(const RangeMeasurement& predicted, const PairPlace& pair, Projected& projected,
-              RangeResult& result) noexcept;
+  void update(const RangeMeasurement& predicted, Projected& projected, RangeResult& result) noexcept;
   // Policy: weight of the range; slip detection before the update; noise tuning after it.
   void weigh(const model::RangeSample& range, const PairPlace& pair, RangeResult& result) noexcept;
   void watch_slip(const PairPlace& pair, const RangeMeasurement& predicted,

@@ -62,6 +62,7 @@ class Shared {
          const filter::Config& config)
       : tags_(static_cast<Eigen::Index>(tags.size())) {
     std::vector<model::NodeId> ids;
+    ids.reserve(tags.size());
     for (const model::Tag& tag : tags) ids.push_back(tag.id);
     Eigen::Index size = kDelay + 1;
     for (const model::AnchorCalibration& anchor : calibration.anchors) {
@@ -142,8 +143,15 @@ class Shared {
 struct Weighed {
   const model::RangeSample* range = nullptr;
   double weight = 0.0;
-  double white_sigma_m = 0.0;
+  double white_m2 = 0.0;
   double range_bias_scale = 1.0;
+};
+
+// An odometry sample as the filter held it.
+struct Held {
+  model::OdometrySample sample;  // at its row's time
+  Eigen::Vector3d variances;     // of vx, vy and omega, as the filter had tuned them and found jumps and slip
+  double stale_s = 0.0;          // age, if a later sample was implausible
 };
 
 // A range between the odometry samples `row` and `row + 1`.
@@ -161,17 +169,19 @@ struct Sighting {
 
 class Smoother {
  public:
-  Smoother(const filter::Run& run, const filter::ReplayOptions& options,
-           std::vector<model::OdometrySample> rows, std::vector<double> stale_s)
+  Smoother(const filter::Run& run, const filter::ReplayOptions& options, const std::vector<Held>& held)
       : surface_(*run.surface),
         config_(options.config),
         start_(options.start),
         tags_(run.tags.begin(), run.tags.end()),
-        rows_(std::move(rows)),
-        stale_s_(std::move(stale_s)),
         shared_(tags_, *run.calibration, config_),
         patterns_m_(tags_.size(), model::PatternTerms::Zero()),
         unknowns_(Eigen::VectorXd::Zero(shared_.mean.size())) {
+    for (const Held& row : held) {
+      rows_.push_back(row.sample);
+      variances_.push_back(row.variances);
+      stale_s_.push_back(row.stale_s);
+    }
     if (run.calibration->range_noise) {
       bias_sigma_m_ = run.calibration->range_noise->bias_sigma_m * config_.range_bias_growth;
       bias_time_s_ = run.calibration->range_noise->bias_time_s * config_.range_bias_time_growth;
@@ -212,7 +222,7 @@ class Smoother {
                           .anchor = anchor,
                           .tag = tag,
                           .weight = weighed.weight,
-                          .white_m2 = square(weighed.white_sigma_m),
+                          .white_m2 = weighed.white_m2,
                           .bias_m2 = square(bias_sigma_m_ * weighed.range_bias_scale)});
   }
 
@@ -402,8 +412,7 @@ class Smoother {
       const Eigen::Matrix<double, 3, filter::kCoreSize> rows = motion.d_core * by_core;
       by_core.topRows<3>() = rows;
     }
-    Eigen::Vector3d variances(square(config_.odometry.sigma_vx_mps), square(config_.odometry.sigma_vy_mps),
-                              square(config_.odometry.sigma_omega_radps));
+    Eigen::Vector3d variances = variances_[k];
     // Velocity random walk after max_hold_s, as a constant velocity error with the same position variance.
     const double overdue_s = std::max(row_s - config_.max_hold_s, 0.0);
     double walk = overdue_s * overdue_s * overdue_s / (3.0 * row_s * row_s);
@@ -471,7 +480,8 @@ class Smoother {
   filter::Start start_;
   std::vector<model::Tag> tags_;
   std::vector<model::OdometrySample> rows_;
-  std::vector<double> stale_s_;  // of each sample: age of the held one if it was dropped, else 0
+  std::vector<Eigen::Vector3d> variances_;
+  std::vector<double> stale_s_;
   Shared shared_;
   std::vector<model::PatternTerms> patterns_m_;
   double bias_sigma_m_ = 0.0;  // of a pair's slow bias, before tuning
@@ -481,6 +491,15 @@ class Smoother {
   std::vector<int> charts_;              // of each sample, from the filter
   std::vector<Sighting> sightings_;
 };
+
+// An implausible sample counts as standing still, as in the filter.
+Held held_at_start(const model::OdometrySample& sample, const filter::Config& config) {
+  Held out{.sample = sample,
+           .variances = {square(config.odometry.sigma_vx_mps), square(config.odometry.sigma_vy_mps),
+                         square(config.odometry.sigma_omega_radps)}};
+  if (!filter::OdometryGate{}.accepts(sample)) out.sample = {.t_s = sample.t_s};
+  return out;
+}
 
 }  // namespace
 
@@ -494,41 +513,37 @@ Result smooth(const filter::Run& run, const filter::ReplayOptions& options) {
   }
   filter::Run once = run;
   once.odometry = odometry;
+  std::vector<Held> rows;
+  rows.reserve(odometry.size());
+  const auto is_later = [&](const model::OdometrySample& row) { return row.t_s > options.start.t_s; };
+  const auto after = std::find_if(odometry.begin(), odometry.end(), is_later);
+  if (after != odometry.begin()) rows.push_back(held_at_start(*std::prev(after), options.config));
+  first.on_odometry = [&](const filter::Tracker& tracker, const model::OdometrySample& row) {
+    const filter::Filter& filter = tracker.filter().filter();
+    const model::OdometrySample& held = filter.snapshot().odometry;
+    const bool is_stale = held.t_s < row.t_s;
+    if (row.t_s <= options.start.t_s) rows.clear();
+    rows.push_back({.sample = {row.t_s, held.vx_mps, held.vy_mps, held.omega_radps},
+                    .variances = is_stale && !rows.empty()
+                                     ? rows.back().variances
+                                     : Eigen::Vector3d(filter.covariance().core().diagonal().segment<3>(
+                                           filter::kOdometryVx)),
+                    .stale_s = row.t_s - held.t_s});
+  };
   std::vector<Weighed> weighed;
   first.on_range = [&](const filter::Tracker& tracker, const model::RangeSample& range,
                        const filter::RangeResult& result) {
     if (result.outcome != filter::RangeOutcome::kUsed && result.outcome != filter::RangeOutcome::kGated)
       return;
     const filter::RangeTuning& tuning = tracker.filter().filter().snapshot().tuning;
-    weighed.push_back({&range, result.weight, tuning.white_sigma_m(), tuning.range_bias_scale()});
+    weighed.push_back({.range = &range,
+                       .weight = result.weight,
+                       .white_m2 = square(tuning.white_sigma_m()) + result.regained_variance_m2,
+                       .range_bias_scale = tuning.range_bias_scale()});
   };
   const filter::ReplayResult beginning = filter::replay(once, first);
-  if (beginning.rows.empty()) return {};
-  const double end_s = beginning.rows.back().t_s;
-
-  // The odometry samples of the initial estimate, and the one held at the start. As in the filter, physically
-  // impossible samples are replaced by the previous velocity.
-  filter::OdometryGate gate;
-  model::OdometrySample held;
-  std::vector<double> stale_s;
-  std::vector<model::OdometrySample> rows;
-  for (model::OdometrySample row : odometry) {
-    if (gate.accepts(row)) {
-      held = row;
-    } else {
-      if (rows.empty()) held.t_s = row.t_s;
-      row = {row.t_s, held.vx_mps, held.vy_mps, held.omega_radps};
-    }
-    if (row.t_s > end_s) break;
-    if (row.t_s <= options.start.t_s) {
-      rows.clear();
-      stale_s.clear();
-    }
-    rows.push_back(row);
-    stale_s.push_back(row.t_s - held.t_s);
-  }
-  if (rows.size() < 2) return {};
-  Smoother smoother(run, options, std::move(rows), std::move(stale_s));
+  if (beginning.rows.empty() || rows.size() < 2) return {};
+  Smoother smoother(run, options, rows);
   smoother.begin(beginning);
   for (const Weighed& range : weighed) smoother.take(range);
   Result result = smoother.solve();
