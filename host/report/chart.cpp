@@ -7,6 +7,7 @@
 #include <cmath>
 #include <iterator>
 #include <limits>
+#include <map>
 #include <numbers>
 #include <set>
 #include <string_view>
@@ -16,6 +17,7 @@
 
 #include "host/model/median.hpp"
 #include "host/report/html.hpp"
+#include "host/report/labels.hpp"
 #include "host/report/samples.hpp"
 #include "host/report/series.hpp"
 
@@ -28,7 +30,6 @@ using Output = std::back_insert_iterator<std::string>;
 
 // Room for the numbers along y, and at the right: as in report.css.
 constexpr double kAside_px = 66.0;
-constexpr double kCharacter_px = 6.6;  // mean width at 12 px, for the layout of labels
 constexpr double kMostDecades = 4.0;
 // Samples for the script are thinned to this part of a pixel at full view.
 constexpr double kFine_px = 1.0 / 16.0;
@@ -66,15 +67,6 @@ std::string tick_text(double value, double step) {
 }
 
 }  // namespace
-
-struct Rectangle {
-  double left, top, right, bottom;
-  [[nodiscard]] double overlap(const Rectangle& other) const {
-    const double width = std::min(right, other.right) - std::max(left, other.left);
-    const double height = std::min(bottom, other.bottom) - std::max(top, other.top);
-    return width > 0.0 && height > 0.0 ? width * height : 0.0;
-  }
-};
 
 Ink series_ink(std::size_t n) {
   constexpr std::array kInks{Ink::kSeries1, Ink::kSeries2, Ink::kSeries3, Ink::kSeries4};
@@ -416,28 +408,25 @@ std::string symbol_of(std::string_view css, Shape shape, double turn_rad) {
   return fmt::format("<circle class=\"mark {}\" r=\"3.4\"/>", css);
 }
 
-// Where the label of a mark at `at` overlaps the least area of earlier marks and labels.
-Vector2d place_of_label(const std::string& label, const Vector2d& at, std::vector<Rectangle>& taken) {
-  const double width = kCharacter_px * static_cast<double>(label.size()) + 2.0;
-  constexpr double kHeight = 13.0;
-  const std::array<Vector2d, 8> corners{Vector2d(8.0, -16.0),          Vector2d(8.0, 3.0),
-                                        Vector2d(-8.0 - width, -16.0), Vector2d(-8.0 - width, 3.0),
-                                        Vector2d(9.0, -6.5),           Vector2d(-9.0 - width, -6.5),
-                                        Vector2d(-0.5 * width, -22.0), Vector2d(-0.5 * width, 8.0)};
-  Rectangle best{};
-  double least = std::numeric_limits<double>::infinity();
-  for (const Vector2d& corner : corners) {
-    const Vector2d place = at + corner;
-    const Rectangle rectangle{place.x(), place.y(), place.x() + width, place.y() + kHeight};
-    double covered = 0.0;
-    for (const Rectangle& other : taken) covered += rectangle.overlap(other);
-    if (covered < least) {
-      least = covered;
-      best = rectangle;
-    }
-  }
-  taken.push_back(best);
-  return Vector2d(best.left + 1.0, best.bottom - 2.5) - at;
+// The least widths of the area at which a chart of the page's width is drawn, each with the class of its
+// labels in report.css: screens of 360, 480, 640 and 900 px, less what is around the area.
+struct Layout {
+  std::string_view css;
+  double width_px = 0.0;
+};
+constexpr std::array kLayouts{Layout{"w360", 256.0}, Layout{"w480", 376.0}, Layout{"w640", 509.0},
+                              Layout{"w900", 768.0}};
+// Smaller charts are beside one another, where there is room; they have one layout.
+constexpr double kLargest_px = 640.0;
+
+// A label and the line to its mark.
+std::string label_of(const std::string& text, const LabelPlace& place) {
+  std::string lead;
+  if (!place.lead_px.isZero())
+    lead =
+        fmt::format("<path class=\"lead\" d=\"M0 0L{:.1f} {:.1f}\"/>", place.lead_px.x(), place.lead_px.y());
+  return fmt::format("{}<text class=\"label\" x=\"{:.1f}\" y=\"{:.1f}\">{}</text>", lead, place.text_px.x(),
+                     place.text_px.y(), escaped(text));
 }
 
 }  // namespace
@@ -638,7 +627,7 @@ void Chart::write_marks(std::string& text, const View& view) const {
     fmt::format_to(out, "<svg class=\"at\" x=\"{:.2f}%\" y=\"{:.2f}%\" data-at=\"{:.9g} {:.9g}\">", share.x(),
                    share.y(), at.x(), at.y());
   };
-  std::vector<Rectangle> taken;
+  std::vector<const Mark*> seen;
   text += "<g class=\"marks\">\n";
   for (const Intervals& intervals : intervals_) {
     for (std::size_t i = 0; i < intervals.points.size(); ++i) {
@@ -662,20 +651,57 @@ void Chart::write_marks(std::string& text, const View& view) const {
       }
       text += symbol_of(css_class(marks.ink), marks.shape, mark.turn_rad);
       fmt::format_to(out, "</g>{}</svg>\n", mark.link.empty() ? "" : "</a>");
-      const Vector2d at = view(mark.at);
-      taken.push_back({at.x() - 6.0, at.y() - 7.0, at.x() + 6.0, at.y() + 4.0});
+      seen.push_back(&mark);
     }
   }
-  for (const Marks& marks : marks_) {
-    for (const Mark& mark : marks.marks) {
-      if (!is_seen(mark.at) || mark.label.empty()) continue;
-      const Vector2d offset = place_of_label(mark.label, view(mark.at), taken);
-      begin_at(mark.at);
-      fmt::format_to(out, "<text class=\"label\" x=\"{:.1f}\" y=\"{:.1f}\">{}</text></svg>\n", offset.x(),
-                     offset.y(), escaped(mark.label));
-    }
+  for (const auto& [at, label] : labels_of(seen, view)) {
+    begin_at(at);
+    text += label + "</svg>\n";
   }
   text += "</g>\n";
+}
+
+// Of each label its mark's place and the label itself: once, or once for each place that it has in the
+// layouts.
+std::vector<std::pair<Vector2d, std::string>> Chart::labels_of(const std::vector<const Mark*>& marks,
+                                                               const View& view) const {
+  const auto placed_in = [&](double width_px) {
+    // A map shrinks as a whole, another chart keeps its height.
+    const double share = width_px / view.size_px.x();
+    const Vector2d shares(share, axes_.same_scale ? share : 1.0);
+    std::vector<Label> labels;
+    std::vector<Vector2d> marks_px;
+    for (const Mark* mark : marks) {
+      marks_px.emplace_back(view(mark->at).cwiseProduct(shares));
+      if (!mark->label.empty()) labels.push_back({marks_px.back(), mark->label});
+    }
+    return place_labels(labels, marks_px, view.size_px.cwiseProduct(shares));
+  };
+  std::vector<std::pair<Vector2d, std::string>> out;
+  const auto add = [&](const auto& text_of) {
+    std::size_t i = 0;
+    for (const Mark* mark : marks)
+      if (!mark->label.empty()) out.emplace_back(mark->at, text_of(mark->label, i++));
+  };
+  if (axes_.width_px < kLargest_px) {
+    const std::vector<LabelPlace> places = placed_in(view.size_px.x());
+    add([&](const std::string& text, std::size_t i) { return label_of(text, places[i]); });
+    return out;
+  }
+  std::vector<std::vector<LabelPlace>> places;
+  places.reserve(kLayouts.size());
+  for (const Layout& layout : kLayouts) places.push_back(placed_in(layout.width_px));
+  add([&](const std::string& text, std::size_t i) {
+    std::map<std::string, std::string> css_of;  // by label
+    for (std::size_t k = 0; k < kLayouts.size(); ++k) {
+      std::string& css = css_of[label_of(text, places[k][i])];
+      css += (css.empty() ? "" : " ") + std::string(kLayouts[k].css);
+    }
+    std::string all;
+    for (const auto& [label, css] : css_of) all += fmt::format("<g class=\"{}\">{}</g>", css, label);
+    return all;
+  });
+  return out;
 }
 
 std::string Chart::html() const {

@@ -5,6 +5,7 @@
 
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include <Eigen/Core>
@@ -186,6 +187,8 @@ class Chart {
   void write_grid(std::string& text, const View& view) const;
   void write_shapes(std::string& text, const View& view, double enlarged) const;
   void write_marks(std::string& text, const View& view) const;
+  [[nodiscard]] std::vector<std::pair<Eigen::Vector2d, std::string>> labels_of(
+      const std::vector<const Mark*>& marks, const View& view) const;
 
   Axes axes_;
   // In units that are drawn.

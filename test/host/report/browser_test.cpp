@@ -75,10 +75,25 @@ class BrowserTest : public testing::Test {
     return page.html();
   }
 
+  // Twelve anchors within a metre of a site of 100 m.
+  static std::string page_of_close_anchors() {
+    Chart map({.x_label = "x (m)", .y_label = "y (m)", .same_scale = true, .height_px = 600.0});
+    std::vector<Mark> marks;
+    marks.reserve(12);
+    for (int row = 0; row < 3; ++row)
+      for (int i = 0; i < 4; ++i)
+        marks.push_back(
+            {.at = {50.0 + 0.3 * i, 30.0 + 0.3 * row}, .label = std::to_string(100 + 4 * row + i)});
+    map.add_line("drive", Ink::kPath, {{0.0, 0.0}, {100.0, 60.0}});
+    map.add_marks("anchor", Ink::kAnchor, marks);
+    Page page("Close anchors", "");
+    page.add_chart(map, "");
+    return page.html();
+  }
+
   // What the script gives to done().
-  static json run(const std::string& script, int width_px = 1400) {
+  static json run(const std::string& script, int width_px = 1400, std::string html = page()) {
     const test::ScratchFolder folder;
-    std::string html = page();
     html.insert(html.rfind("</body>"), std::string("<script>") + kHelpers + script + "</script>\n");
     folder.write("report.html", html);
     const test::ChildResult result = test::run_child(
@@ -182,6 +197,25 @@ done({faults, page: document.documentElement.scrollWidth, screen: innerWidth});
                             width_px);
     EXPECT_EQ(result["faults"], json::array()) << width_px;
     EXPECT_LE(result["page"].get<double>(), result["screen"].get<double>()) << width_px;
+  }
+}
+
+TEST_F(BrowserTest, LabelsOfCloseAnchorsAreApart) {
+  for (const int width_px : {1400, 800, 500}) {
+    const json result = run(R"js(
+const faults = [];
+const boxes = [...document.querySelectorAll(".label")].map((label) => [label.getBoundingClientRect(), label.textContent])
+                                                      .filter(([b]) => b.width > 0);
+boxes.forEach(([b, text], i) => {
+  if (b.left < 0 || b.right > innerWidth) faults.push(`clipped ${text}`);
+  for (const [c, other] of boxes.slice(i + 1))
+    if (b.left < c.right - 1 && c.left < b.right - 1 && b.top < c.bottom - 4 && c.top < b.bottom - 4) faults.push(`${text} over ${other}`);
+});
+done({faults, labels: boxes.length});
+)js",
+                            width_px, page_of_close_anchors());
+    EXPECT_EQ(result["faults"], json::array()) << width_px;
+    EXPECT_EQ(result["labels"], 12) << width_px << ": each once";
   }
 }
 

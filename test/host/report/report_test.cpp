@@ -1,11 +1,14 @@
 #include <fmt/format.h>
 #include <gtest/gtest.h>
 
+#include <array>
 #include <cmath>
 #include <limits>
 #include <numbers>
 #include <regex>
+#include <sstream>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "host/report/chart.hpp"
@@ -223,6 +226,63 @@ TEST(PageTest, TextIsEscapedEverywhere) {
   const std::string html = page.html();
   EXPECT_EQ(count(html, "<script"), 1U) << "the page's own";
   EXPECT_GT(count(html, escaped(evil)), 10U);
+}
+
+// The labels that a chart shows at this width of its area, as boxes: left, top, right, bottom.
+std::vector<std::array<double, 4>> label_boxes(const std::string& html, const std::string& css,
+                                               double width_px, double height_px) {
+  std::vector<std::array<double, 4>> boxes;
+  const std::regex at("<svg class=\"at\" x=\"([-.0-9]+)%\" y=\"([-.0-9]+)%\"[^>]*>(.*)</svg>");
+  const std::regex group("<g class=\"([^\"]*)\">(.*?)</g>");
+  const std::regex text("<text class=\"label\" x=\"([-.0-9]+)\" y=\"([-.0-9]+)\">([^<]*)<");
+  std::istringstream lines(html);
+  for (std::string line; std::getline(lines, line);) {
+    std::smatch place;
+    if (!std::regex_search(line, place, at)) continue;
+    const std::string content = place[3];
+    for (std::sregex_iterator of(content.begin(), content.end(), group), end; of != end; ++of) {
+      std::smatch label;
+      const std::string inside = (*of)[2];
+      if (!css.empty() && (*of)[1].str().find(css) == std::string::npos) continue;
+      if (!std::regex_search(inside, label, text)) continue;
+      const double left = std::stod(place[1]) / 100.0 * width_px + std::stod(label[1]);
+      const double base = std::stod(place[2]) / 100.0 * height_px + std::stod(label[2]);
+      boxes.push_back({left, base - 9.0, left + 6.8 * static_cast<double>(label[3].length()), base});
+    }
+  }
+  return boxes;
+}
+
+TEST(ChartTest, LabelsOfCloseMarksDoNotOverlapAtAnyWidth) {
+  Chart map = make_map();
+  map.add_line("drive", Ink::kPath, {{0.0, 0.0}, {100.0, 60.0}});
+  std::vector<Mark> marks;
+  marks.reserve(18);
+  for (int row = 0; row < 3; ++row)  // within a metre, some 10 px
+    for (int i = 0; i < 4; ++i)
+      marks.push_back(
+          {.at = {50.0 + 0.3 * i, 30.0 + 0.3 * row}, .label = fmt::format("{}", 100 + 4 * row + i)});
+  for (int i = 0; i < 6; ++i) marks.push_back({.at = {0.0, 10.0 * i}, .label = fmt::format("{}", 10 + i)});
+  map.add_marks("anchor", Ink::kAnchor, marks);
+  const std::string html = map.html();
+  const std::vector<double> size_px = numbers(html, "data-size=\"([0-9]+) ([0-9]+)\"");
+  ASSERT_EQ(size_px.size(), 2U);
+  for (const auto& [css, at_px] :
+       {std::pair("w360", 256.0), std::pair("w360", 370.0), std::pair("w480", 376.0),
+        std::pair("w640", 509.0), std::pair("w900", 768.0), std::pair("w900", 974.0)}) {
+    const auto boxes = label_boxes(html, css, at_px, size_px[1] * at_px / size_px[0]);
+    ASSERT_EQ(boxes.size(), marks.size()) << css;
+    for (std::size_t i = 0; i < boxes.size(); ++i) {
+      EXPECT_GT(boxes[i][0], -8.0) << css;
+      EXPECT_LT(boxes[i][2], at_px + 14.0) << css;
+      for (std::size_t k = 0; k < i; ++k) {
+        const bool is_apart = boxes[i][0] >= boxes[k][2] || boxes[k][0] >= boxes[i][2] ||
+                              boxes[i][1] >= boxes[k][3] || boxes[k][1] >= boxes[i][3];
+        EXPECT_TRUE(is_apart) << css << " at " << at_px << ": " << i << " and " << k;
+      }
+    }
+  }
+  EXPECT_GT(count(html, "class=\"lead\""), 0U) << "a line leads from a far label to its mark";
 }
 
 TEST(PageTest, TheFootHasCommandAndDate) {
