@@ -92,7 +92,7 @@ int run(const ImportOptions& options) {
       std::find(importer::kFormatNames.begin(), importer::kFormatNames.end(), options.format) -
       importer::kFormatNames.begin());
   const importer::ImportMap map =
-      options.map.empty() ? importer::ImportMap() : importer::read_import_map(options.map);
+      options.map.empty() ? importer::ImportMap() : importer::read_import_map(options.map, format);
   const importer::Imported imported =
       importer::import_files(format, options.inputs, map, base_of(options.output));
   io::write_dataset(options.output, imported.dataset);

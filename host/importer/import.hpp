@@ -13,10 +13,6 @@
 
 namespace groma::importer {
 
-enum class Format { kCsv, kTum, kKitti, kRosbag2 };
-// In the order of Format.
-inline constexpr std::array<std::string_view, 4> kFormatNames{"csv", "tum", "kitti", "rosbag2"};
-
 // What one source gave.
 struct ImportedTable {
   Table table = Table::kRanges;

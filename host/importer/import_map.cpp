@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <limits>
 #include <numbers>
+#include <span>
 #include <utility>
 
 #include "host/io/input_file.hpp"
@@ -81,6 +82,61 @@ char parse_separator(const YamlValue& yaml) {
   return kSeparators.at(yaml.one_of(kWords));
 }
 
+bool contains(std::span<const std::string_view> words, std::string_view word) {
+  return std::find(words.begin(), words.end(), word) != words.end();
+}
+
+constexpr std::array<std::string_view, 10> kSourceKeys{
+    "to", "file", "topic", "columns", "pairs", "units", "header", "separator", "rows", "definition"};
+
+std::span<const std::string_view> keys_of_source(Format format) {
+  static constexpr std::array<std::string_view, 8> kText{"to",    "file",   "columns",   "pairs",
+                                                         "units", "header", "separator", "rows"};
+  static constexpr std::array<std::string_view, 3> kTrajectory{"to", "file", "units"};
+  static constexpr std::array<std::string_view, 5> kMessages{"to", "topic", "columns", "units", "definition"};
+  switch (format) {
+    case Format::kCsv:
+      return kText;
+    case Format::kTum:
+    case Format::kKitti:
+      return kTrajectory;
+    case Format::kRosbag2:
+      break;
+  }
+  return kMessages;
+}
+
+// Of the keys of any format, those that this one uses.
+void expect_used(const YamlValue& yaml, std::span<const std::string_view> all,
+                 std::span<const std::string_view> used, Format format) {
+  // Where two formats have different keys for one thing.
+  constexpr std::array<std::pair<std::string_view, std::string_view>, 2> kOthers{
+      {{"file", "topic"}, {"topic", "file"}}};
+  std::string list;
+  for (const std::string_view key : used) list += fmt::format("{}{}", list.empty() ? "" : ", ", key);
+  const std::string_view name = kFormatNames.at(static_cast<std::size_t>(format));
+  for (const std::string_view key : all) {
+    const std::optional<YamlValue> value = yaml.find(key);
+    if (!value || contains(used, key)) continue;
+    const auto* const other =
+        std::find_if(kOthers.begin(), kOthers.end(), [&](const auto& pair) { return pair.first == key; });
+    const bool is_other = other != kOthers.end() && contains(used, other->second);
+    value->fail(fmt::format("is not used by groma import {}", name),
+                fmt::format("{}{} uses {}",
+                            is_other ? fmt::format("did you mean '{}'? ", other->second) : "remove it; ",
+                            name, list));
+  }
+}
+
+void expect_used_units(const YamlValue& yaml, Format format) {
+  constexpr std::array<std::string_view, 3> kAll{"time", "length", "angle"};
+  const bool is_trajectory = format == Format::kTum || format == Format::kKitti;  // has no angles
+  expect_used(yaml, kAll, std::span(kAll).first(is_trajectory ? 2 : 3), format);
+  const std::optional<YamlValue> time = yaml.find("time");
+  if (time && format != Format::kCsv && time->text() == "date")
+    time->fail("is a date, which only tables have", "write s, ms, us or ns");
+}
+
 void parse_columns(const YamlValue& yaml, Source& source) {
   YamlValue::Keys keys;
   for (const ColumnType& column : columns_of(source.to)) keys.optional.push_back(column.name);
@@ -91,21 +147,30 @@ void parse_columns(const YamlValue& yaml, Source& source) {
   }
 }
 
-Source parse_source(const YamlValue& yaml) {
-  constexpr std::array<std::string_view, 3> kHeaders{"first", "comment", "none"};
-  yaml.expect_keys(
-      {{"to"}, {"file", "topic", "columns", "pairs", "units", "header", "separator", "rows", "definition"}});
+void parse_pairs(const YamlValue& yaml, Source& source) {
+  if (source.to != Table::kRanges) yaml.fail("is not of ranges", "write it only with to: ranges");
+  for (const std::string_view column : {"tag_id", "anchor_id", "range_m"})
+    if (source.columns.contains(column))
+      yaml.fail(fmt::format("is there beside a column {}", column), "keep one of them");
+  for (const YamlValue& pair : yaml.list()) source.pairs.push_back(parse_pair(pair));
+}
+
+Source parse_source(const YamlValue& yaml, Format format) {
+  constexpr std::array<std::string_view, 4> kHeaders{"first", "comment", "none", "skip"};
+  yaml.expect_keys({{"to"}, {kSourceKeys.begin() + 1, kSourceKeys.end()}});
+  expect_used(yaml, kSourceKeys, keys_of_source(format), format);
+  if (format == Format::kRosbag2) static_cast<void>(yaml.at("topic"));
   Source source;
   source.place = yaml.place();
   for (const std::string_view key : {"file", "topic"})
     if (const auto value = yaml.find(key)) source.from = value->text();
   source.to = static_cast<Table>(yaml.at("to").one_of(kTableNames));
   if (const auto value = yaml.find("columns")) parse_columns(*value, source);
-  if (const auto value = yaml.find("pairs")) {
-    if (source.to != Table::kRanges) value->fail("is not of ranges", "write it only with to: ranges");
-    for (const YamlValue& pair : value->list()) source.pairs.push_back(parse_pair(pair));
+  if (const auto value = yaml.find("pairs")) parse_pairs(*value, source);
+  if (const auto value = yaml.find("units")) {
+    source.units = parse_units(*value);
+    expect_used_units(*value, format);
   }
-  if (const auto value = yaml.find("units")) source.units = parse_units(*value);
   if (const auto value = yaml.find("header"))
     source.header = static_cast<Source::Header>(value->one_of(kHeaders));
   if (const auto value = yaml.find("separator")) source.separator = parse_separator(*value);
@@ -135,7 +200,7 @@ std::vector<Node> parse_nodes(const YamlValue& yaml, std::string_view key) {
 
 }  // namespace
 
-ImportMap read_import_map(const std::filesystem::path& path) {
+ImportMap read_import_map(const std::filesystem::path& path, Format format) {
   const YamlValue yaml = YamlValue::parse(path, io::read_file(path));
   constexpr std::array<std::string_view, 8> kSiteKeys{"name",  "tags",    "anchors", "odometry",
                                                       "range", "surface", "imu",     "gnss"};
@@ -159,8 +224,9 @@ ImportMap read_import_map(const std::filesystem::path& path) {
   }
   map.site.sensors = io::parse_sensors(yaml);
   if (const auto value = yaml.find("sources"))
-    for (const YamlValue& source : value->list()) map.sources.push_back(parse_source(source));
+    for (const YamlValue& source : value->list()) map.sources.push_back(parse_source(source, format));
   if (const auto value = yaml.find("axes")) {
+    if (format != Format::kKitti) value->fail("is of KITTI trajectories", "remove it");
     constexpr std::array<std::string_view, 2> kAxes{"robot", "camera"};
     map.axes = value->one_of(kAxes) == 0 ? Axes::kRobot : Axes::kCamera;
   }

@@ -1,6 +1,7 @@
 // The file that says which column or field of a recording is which column of a data set (YAML, schema 1).
 #pragma once
 
+#include <array>
 #include <filesystem>
 #include <map>
 #include <optional>
@@ -12,6 +13,10 @@
 #include "host/io/error.hpp"
 
 namespace groma::importer {
+
+enum class Format { kCsv, kTum, kKitti, kRosbag2 };
+// In the order of Format.
+inline constexpr std::array<std::string_view, 4> kFormatNames{"csv", "tum", "kitti", "rosbag2"};
 
 // A column of a source: by its name, or by its number from 1; or a constant.
 struct SourceColumn {
@@ -34,7 +39,8 @@ struct Source {
   std::vector<PairColumn> pairs;                             // in place of anchor_id, tag_id and range_m
   Units units;
   // Of text files.
-  enum class Header { kFirst, kComment, kNone };  // names are in the first line, in a comment, nowhere
+  // Names are in the first line, in a comment, nowhere; or the first line has none that can be used.
+  enum class Header { kFirst, kComment, kNone, kSkip };
   Header header = Header::kFirst;
   char separator = ',';                  // ' ': any blanks
   std::optional<SourceColumn> row_kind;  // only rows that have this text there
@@ -53,7 +59,8 @@ struct ImportMap {
   Axes axes = Axes::kDetected;  // of KITTI poses
 };
 
-// Throws io::ConfigError, or io::DataError of a file that it names.
-[[nodiscard]] ImportMap read_import_map(const std::filesystem::path& path);
+// The map of inputs of this format: a key that the format does not use is an error. Throws io::ConfigError,
+// or io::DataError of a file that the map names.
+[[nodiscard]] ImportMap read_import_map(const std::filesystem::path& path, Format format);
 
 }  // namespace groma::importer

@@ -96,7 +96,10 @@ class TextRows {
       split(lines_.line(), source.separator, names_);
       header_line_ = lines_.number();
     }
-    if (source.header != Source::Header::kNone && names_.empty())
+    if (source.header == Source::Header::kSkip) static_cast<void>(lines_.next());
+    const bool has_names =
+        source.header == Source::Header::kFirst || source.header == Source::Header::kComment;
+    if (has_names && names_.empty())
       throw io::DataError({path, 1, 0}, "has no header",
                           "add a line with the names of the columns, or write header: none in the map");
   }

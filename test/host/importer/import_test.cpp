@@ -39,7 +39,7 @@ class Import : public testing::Test {
     ImportMap read;
     if (!map.empty()) {
       folder_.write("map.yaml", "schema: 1\n" + map);
-      read = read_import_map(folder_ / "map.yaml");
+      read = read_import_map(folder_ / "map.yaml", format);
     }
     return import_files(format, inputs, read, std::move(base));
   }
@@ -289,6 +289,46 @@ TEST_F(Import, SaysWhereWhatAndWhy) {
   folder_.write("cut.tum", "1 2 3 0 0 0 0 1\n1.1 2 3 0 0 0");
   EXPECT_THAT(problem(Format::kTum, {"cut.tum"}),
               HasSubstr("cut.tum:2: the row has 6 fields, and column 7 is needed"));
+}
+
+TEST_F(Import, AKeyThatTheFormatDoesNotUseIsAnError) {
+  const auto map = [&](Format format, const std::string& text) {
+    folder_.write("map.yaml", "schema: 1\n" + text + "\n");
+    try {
+      static_cast<void>(read_import_map(folder_ / "map.yaml", format));
+    } catch (const io::ConfigError& error) {
+      return std::string(error.what());
+    }
+    return std::string();
+  };
+  EXPECT_THAT(map(Format::kCsv, "sources: [{topic: /odom, to: odometry}]"),
+              AllOf(HasSubstr("map.yaml:2:"), HasSubstr("sources[0].topic is not used by groma import csv"),
+                    HasSubstr("did you mean 'file'?")));
+  EXPECT_THAT(map(Format::kRosbag2, "sources: [{file: /odom, to: odometry}]"),
+              HasSubstr("did you mean 'topic'?"));
+  EXPECT_THAT(map(Format::kRosbag2, "sources: [{to: odometry}]"), HasSubstr("lacks the key topic"));
+  EXPECT_THAT(map(Format::kRosbag2, "sources: [{topic: /a, to: odometry, separator: tab}]"),
+              HasSubstr("remove it; rosbag2 uses to, topic, columns, units, definition"));
+  for (const char* key : {"pairs: []", "header: none", "rows: {column: 1, equals: a}"})
+    EXPECT_THAT(map(Format::kRosbag2, fmt::format("sources: [{{topic: /a, to: ranges, {}}}]", key)),
+                HasSubstr("is not used by groma import rosbag2"));
+  EXPECT_THAT(map(Format::kCsv, "sources: [{to: odometry, definition: uint8 a}]"), HasSubstr("is not used"));
+  for (const char* key : {"columns: {t_s: 1}", "header: none", "separator: tab", "units: {angle: deg}"}) {
+    EXPECT_THAT(map(Format::kTum, fmt::format("sources: [{{to: groundtruth, {}}}]", key)),
+                HasSubstr("is not used by groma import tum"));
+    EXPECT_THAT(map(Format::kKitti, fmt::format("sources: [{{to: groundtruth, {}}}]", key)),
+                HasSubstr("is not used by groma import kitti"));
+  }
+  EXPECT_THAT(map(Format::kTum, "axes: robot"), HasSubstr("is of KITTI trajectories"));
+  EXPECT_THAT(map(Format::kRosbag2, "sources: [{topic: /a, to: odometry, units: {time: date}}]"),
+              HasSubstr("is a date, which only tables have"));
+  EXPECT_THAT(map(Format::kCsv, "sources: [{to: ranges, columns: {tag_id: 1}, pairs: []}]"),
+              HasSubstr("is there beside a column tag_id"));
+  EXPECT_THAT(map(Format::kCsv, "sources: [{to: ranges, separater: tab}]"),
+              HasSubstr("did you mean 'separator'?"));
+  EXPECT_EQ(map(Format::kKitti, "axes: robot\nsources: [{to: pose_prior, units: {time: ns, length: mm}}]"),
+            "");
+  EXPECT_EQ(map(Format::kTum, "sources: [{file: a.tum, to: pose_prior, units: {time: ns, length: mm}}]"), "");
 }
 
 TEST_F(Import, NoticesWrongUnits) {
