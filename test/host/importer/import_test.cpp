@@ -137,7 +137,11 @@ TEST_F(Import, ReadsWhatItsTablesContain) {
 }
 
 TEST_F(Import, ATrajectoryComesBackAsItWasExported) {
-  const io::Dataset run = test::make_small_run(5.0, 1);
+  io::Dataset run = test::make_small_run(5.0, 1);
+  for (model::PoseSample& pose : run.ground_truth) {
+    pose.roll_rad = 0.1;
+    pose.pitch_rad = -0.2;
+  }
   io::write_dataset(folder_.path(), run);
   const auto poses = convert::read_export_poses(folder_ / "groundtruth.csv");
   folder_.write("truth.tum", convert::to_tum(poses));
@@ -153,6 +157,8 @@ TEST_F(Import, ATrajectoryComesBackAsItWasExported) {
       EXPECT_EQ(pose.y_m, run.ground_truth[i].y_m);
       EXPECT_EQ(pose.z_m, run.ground_truth[i].z_m);
       EXPECT_NEAR(pose.yaw_rad, run.ground_truth[i].yaw_rad, 1e-12);
+      EXPECT_NEAR(pose.roll_rad, 0.1, 1e-12);
+      EXPECT_NEAR(pose.pitch_rad, -0.2, 1e-12);
     }
   }
 }

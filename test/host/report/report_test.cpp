@@ -226,6 +226,7 @@ TEST(PageTest, TextIsEscapedEverywhere) {
   const std::string html = page.html();
   EXPECT_EQ(count(html, "<script"), 1U) << "the page's own";
   EXPECT_GT(count(html, escaped(evil)), 10U);
+  EXPECT_EQ(escaped("<a b=\"c\">&"), "&lt;a b=&quot;c&quot;&gt;&amp;");
 }
 
 // The labels that a chart shows at this width of its area, as boxes: left, top, right, bottom.
@@ -257,7 +258,10 @@ TEST(ChartTest, LabelsOfCloseMarksDoNotOverlapAtAnyWidth) {
   Chart map = make_map();
   map.add_line("drive", Ink::kPath, {{0.0, 0.0}, {100.0, 60.0}});
   std::vector<Mark> marks;
-  marks.reserve(18);
+  marks.reserve(24);
+  // Apart on a wide screen, where one is beside the other; close on a narrow one.
+  for (int i = 0; i < 6; ++i)
+    marks.push_back({.at = {20.0 + 5.0 * i, 50.0}, .label = fmt::format("{}", 200 + i)});
   for (int row = 0; row < 3; ++row)  // within a metre, some 10 px
     for (int i = 0; i < 4; ++i)
       marks.push_back(
