@@ -272,6 +272,7 @@ void add_anchor_table(Page& page, const calibration::Result& result) {
         known ? Eigen::Matrix3d(anchor.covariance.topLeftCorner<3, 3>()) : Eigen::Matrix3d::Zero();
     rows.push_back(
         {{fmt::format("{}", anchor.id)},
+         {std::string(io::word(anchor.verdict)), tone(anchor.verdict)},
          coordinate(0),
          coordinate(1),
          coordinate(2),
@@ -281,12 +282,12 @@ void add_anchor_table(Page& page, const calibration::Result& result) {
          {fmt::format("{}", anchor.ranges_rejected)},
          number(n < result.fitted.size() ? 100.0 * los_share(result.fitted[n]) : kNone, "{:.0f} %"),
          number(anchor.held_out_rms_m.value_or(kNone)),
-         number(anchor.mirror_ratio.value_or(kNone), "{:.2f}"),
-         {std::string(io::word(anchor.verdict)), tone(anchor.verdict)}});
+         number(anchor.mirror_ratio.value_or(kNone), "{:.2f}")});
   }
   page.add_heading("Anchors");
-  page.add_table({"anchor", "x m", "y m", "z m", "σ xy m", "σ z m", "used", "rejected", "LOS", "held out m",
-                  "mirror", "verdict"},
+  // A narrow screen shows the first columns without scrolling.
+  page.add_table({"anchor", "verdict", "x m", "y m", "z m", "σ xy m", "σ z m", "used", "rejected", "LOS",
+                  "held out m", "mirror"},
                  rows);
   page.add_text(
       "Held out: root mean square of the residuals over the last fifth of the drive, for a solution from the "
