@@ -4,8 +4,8 @@
 // The model is the filter's (docs/explanation/filter.md), as one least-squares problem. The unknowns are a
 // pose at each odometry sample, and, common to all samples, the odometry's scale and yaw-rate bias, the delay
 // and the parameters of the calibration. Each range has the weight that the filter's gate gave it; the noise
-// of ranges and odometry is what the filter had found. Gauss-Newton with block elimination: time and memory are linear in the
-// number of samples.
+// of ranges and odometry is what the filter had found. Gauss-Newton with block elimination: time and memory
+// are linear in the number of samples.
 //
 // A slow range bias acts on the ranges of its pair alike, the error of an anchor on all of its ranges while
 // its direction stays: they are part of the noise, times the number of ranges that share them. With the model
