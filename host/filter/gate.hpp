@@ -2,7 +2,7 @@
 // also detects divergence, so that a wrong state does not refuse the right ranges for good.
 //
 // A pair is LOS (Gaussian innovation with the filter's variance S) or NLOS (plus an exponential excess: NLOS
-// ranges are too long). The pair keeps its state for a while.
+// ranges are too long, those of a wrong calibration may be too short). The pair keeps its state for a while.
 // Any single range may be garbage. The weight is the posterior probability of LOS, reduced for ranges whose
 // received powers hint at NLOS.
 #pragma once
@@ -21,7 +21,7 @@ namespace groma::filter {
 [[nodiscard]] double excess_square(double error_m, double sigma_m, double mean_m) noexcept;
 
 // Probability densities of a range error, 1/m. los and blocked: LOS and NLOS, given that the range is no
-// garbage. NLOS ranges are too long.
+// garbage. NLOS ranges are too long, or with probability short_share too short.
 struct RangeDensities {
   double los = 0.0;
   double nlos = 0.0;

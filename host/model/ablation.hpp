@@ -24,6 +24,7 @@ enum class Mechanism : std::uint8_t {
   kGateTags,         // NLOS of one tag of an anchor makes NLOS of the others likelier
   kGateReception,    // missed polls
   kGatePowers,       // received powers
+  kGateShort,        // ranges that are too short
   kDivergence,       // divergence flag: the covariance grows while ranges are rejected
   kDivergenceStart,  // also raised where most ranges since a start are rejected
   // filter: noise and faults of odometry
