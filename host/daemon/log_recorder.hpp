@@ -38,7 +38,9 @@ class LogRecorder : public MeasurementSink {
   LogRecorder& operator=(const LogRecorder&) = delete;
 
   void on_odometry(const model::OdometrySample& sample) override { encoder_.put(sample); }
-  void on_range(const model::RangeSample& range) override { encoder_.put(range); }
+  // As received, because who reads the log corrects times by a calibration of their choice.
+  void on_uncorrected_range(const model::RangeSample& range) override { encoder_.put(range); }
+  void on_range(const model::RangeSample& /*range*/) override {}
   void on_pose_prior(const model::PoseSample& pose) override { encoder_.put(pose); }
   void on_sensor(const model::SensorSample& sample) override { encoder_.put(sample); }
   void on_clock_set() override { begin_section(); }

@@ -17,6 +17,9 @@ class MeasurementSink {
   virtual void on_odometry(const model::OdometrySample& sample) = 0;
   virtual void on_range(const model::RangeSample& range) = 0;
   virtual void on_pose_prior(const model::PoseSample& pose) = 0;
+  // Before on_range(): the range with its time as received, which on_range() has corrected by the
+  // calibration's range_clock.
+  virtual void on_uncorrected_range(const model::RangeSample& /*range*/) {}
   // A sample of a sensor other than odometry and ranges.
   virtual void on_sensor(const model::SensorSample& /*sample*/) {}
   // A sample that waits for its turn, as soon as it arrives; a late measurement, which does not wait, is not

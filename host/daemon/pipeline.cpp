@@ -70,6 +70,14 @@ void Pipeline::process(Adoption& adoption) {
   for (const model::AnchorCalibration& anchor : adoption.calibration.anchors) {
     anchors_.push_back({anchor.id, anchor.verdict});
   }
+  const model::ClockError clock = adoption.calibration.range_clock.value_or(model::ClockError{});
+  session_.set_range_clock(clock);
+  if (adoption.calibration.range_clock) {
+    log_(
+        fmt::format("corrects the times of ranges by {:+.3f} s and {:+.3g} s a second (range_clock of the "
+                    "calibration)",
+                    -clock.offset_s, -clock.drift));
+  }
   if (localizer_) return localizer_->adopt(std::move(adoption.calibration), std::move(adoption.tags));
   frame_ = adoption.calibration.frame;
   const std::size_t anchors = adoption.calibration.anchors.size();

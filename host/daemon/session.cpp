@@ -120,7 +120,7 @@ void Session::advance(double now_s) {
   const auto robot_now_s = robot_time_s(now_s);
   if (!robot_now_s) return;
   pass_merged(merger_.flush_until(*robot_now_s));
-  const double until_s = *robot_now_s - config_.reorder_lag_s;
+  const double until_s = *robot_now_s - config_.reorder_lag_s - wait_for_ranges_s(*robot_now_s);
   while (!waiting_.empty() && waiting_.front().t_s <= until_s) deliver_first();
   passed_until_s_ = std::max(until_s, passed_until_s_.value_or(until_s));
 }
@@ -265,17 +265,31 @@ void Session::take(model::RangeSample range) {
     return;
   }
   range.t_s = *t_s;
-  enqueue(range.t_s, range);
+  const double late_s = ranges_late_s(*t_s);
+  if (late_s == 0.0 && !range_clock_refused_ && range_clock_.corrected_s(*t_s) != *t_s) {
+    range_clock_refused_ = true;
+    say(
+        fmt::format("the calibration's range_clock is {:.1f} s off by now, and gromad corrects {} s at most; "
+                    "calibrate again",
+                    *t_s - range_clock_.corrected_s(*t_s), kMaxRangeClock_s));
+  }
+  enqueue(*t_s - late_s, range);
+}
+
+double Session::ranges_late_s(double t_s) const noexcept {
+  const double late_s = t_s - range_clock_.corrected_s(t_s);
+  return std::abs(late_s) <= kMaxRangeClock_s ? late_s : 0.0;
 }
 
 void Session::enqueue(double t_s, const Sample& sample) {
-  if (*robot_time_s(now_s_) - t_s > config_.max_delay_s) {
+  const double robot_now_s = *robot_time_s(now_s_);
+  if (robot_now_s - t_s > config_.max_delay_s + wait_for_ranges_s(robot_now_s)) {
     ++counters_.dropped_late;
     return;
   }
   if (passed_until_s_ && t_s < *passed_until_s_) {
     ++counters_.passed_late;
-    deliver(sample);
+    deliver(t_s, sample);
     return;
   }
   push_waiting(t_s, sample);
@@ -297,10 +311,10 @@ void Session::deliver_first() {
   std::pop_heap(waiting_.begin(), waiting_.end(), Later());
   const Waiting first = waiting_.back();
   waiting_.pop_back();
-  deliver(first.sample);
+  deliver(first.t_s, first.sample);
 }
 
-void Session::deliver(const Sample& sample) {
+void Session::deliver(double t_s, const Sample& sample) {
   std::visit(Overloaded{
                  [&](const model::OdometrySample& odometry) {
                    ++counters_.odometry;
@@ -312,7 +326,12 @@ void Session::deliver(const Sample& sample) {
                  },
                  [&](const model::RangeSample& range) {
                    ++counters_.ranges;
-                   for (MeasurementSink* sink : sinks_) sink->on_range(range);
+                   model::RangeSample corrected = range;
+                   corrected.t_s = t_s;
+                   for (MeasurementSink* sink : sinks_) {
+                     sink->on_uncorrected_range(range);
+                     sink->on_range(corrected);
+                   }
                  },
                  [&](const model::SensorSample& of) {
                    ++counters_.sensors;

@@ -14,6 +14,7 @@
 // only its own message: see RobotClock.
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <cstddef>
 #include <cstdint>
@@ -33,6 +34,7 @@
 #include "host/daemon/robot_clock.hpp"
 #include "host/daemon/robot_input.hpp"
 #include "host/link/report_decoder.hpp"
+#include "host/model/clock_error.hpp"
 #include "host/model/state_archive.hpp"
 #include "host/model/types.hpp"
 
@@ -129,6 +131,15 @@ class Session {
   void node_reopened(std::size_t node);
   void robot_reopened(std::size_t robot = 0);
 
+  // Corrects the times of ranges from now on, before their order is decided. What this makes older waits
+  // longer, as all measurements then do, so that nothing is late. Beyond kMaxRangeClock_s nothing is
+  // corrected, which is logged once.
+  static constexpr double kMaxRangeClock_s = 2.0;
+  void set_range_clock(const model::ClockError& clock) {
+    range_clock_ = clock;
+    range_clock_refused_ = false;
+  }
+
   // Passes on the measurements that have waited for reorder_lag_s.
   void advance(double now_s);
   // Passes on all waiting measurements, at the end of a drive.
@@ -156,9 +167,9 @@ class Session {
   // Of a session with the same nodes and configuration. Sinks are not part of it.
   void archive(model::StateArchive& state) {
     for (Node& node : nodes_) state(node);
-    state(robots_, robot_lines_dropped_, robot_clock_, merger_, last_odometry_s_, pose_times_, sensor_times_,
-          times_suspect_, timestamps_dropped_, dropped_since_s_, drop_reported_, next_late_report_s_,
-          waiting_, serial_, now_s_, passed_until_s_, counters_);
+    state(robots_, robot_lines_dropped_, robot_clock_, range_clock_, merger_, last_odometry_s_, pose_times_,
+          sensor_times_, times_suspect_, timestamps_dropped_, dropped_since_s_, drop_reported_,
+          next_late_report_s_, waiting_, serial_, now_s_, passed_until_s_, counters_);
   }
 
  private:
@@ -188,13 +199,19 @@ class Session {
   void take(model::RangeSample range);
   // Whether to take a pose or sensor sample of that time; counts the reason if not.
   [[nodiscard]] bool accepts(SensorTimes& times, double t_s, double now_s);
+  // How late the clock of ranges is at a time of the robot, s; 0 beyond kMaxRangeClock_s.
+  [[nodiscard]] double ranges_late_s(double t_s) const noexcept;
+  // How much longer than configured measurements wait, for ranges that are late.
+  [[nodiscard]] double wait_for_ranges_s(double robot_now_s) const noexcept {
+    return std::max(0.0, ranges_late_s(robot_now_s));
+  }
   // Queues a sample by its time, or passes it on at once if later ones were passed on already. Requires a
   // known robot time.
   void enqueue(double t_s, const Sample& sample);
   void push_waiting(double t_s, const Sample& sample);
   // Passes on the earliest waiting sample.
   void deliver_first();
-  void deliver(const Sample& sample);
+  void deliver(double t_s, const Sample& sample);
   void announce(const Sample& sample);
   void pass_merged(std::span<const model::OdometrySample> samples);
   // Logs once that odometry is merged, and again only after it was slower.
@@ -212,6 +229,8 @@ class Session {
   std::deque<RobotInput> robots_;
   LogDoubling robot_lines_dropped_;
   RobotClock robot_clock_;
+  model::ClockError range_clock_;
+  bool range_clock_refused_ = false;
   OdometryMerger merger_;
   std::optional<double> last_odometry_s_;
   // Odometry within the present period of report_fast_odometry().

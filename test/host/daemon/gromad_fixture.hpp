@@ -38,7 +38,7 @@ inline constexpr double kSpeed = 2.0;
 
 class GromadTest : public ::testing::Test {
  protected:
-  std::string config_text(const std::string& calibration) const {
+  std::string config_text(const std::string& calibration, double speed = kSpeed) const {
     return fmt::format(R"(schema: 1
 nodes:
   - {{path: tag-1, baud: 1000000}}
@@ -52,7 +52,7 @@ calibration: {}
 pose_stream: {{port: 0}}
 speed: {}
 )",
-                       SimulatedSite::kTagHeight_m, calibration, kSpeed);
+                       SimulatedSite::kTagHeight_m, calibration, speed);
   }
 
   // Runs the site until `done`; false after kPatience or if the daemon has ended.
@@ -105,12 +105,14 @@ speed: {}
   }
 
   // `renumbered`: anchors have swapped ids.
-  void write_surveyed(const SimulatedSite& site, bool renumbered = false) const {
+  void write_surveyed(const SimulatedSite& site, bool renumbered = false,
+                      std::optional<model::ClockError> range_clock = std::nullopt) const {
     const std::vector<model::Tag> tags{{1, {0.0, 0.0, SimulatedSite::kTagHeight_m}}};
     model::RangePriors priors;
     priors.beta_m = {0.0, 0.05};
     model::Calibration calibration = model::surveyed_calibration(site.anchors, tags, priors, 0.02);
     calibration.verdict = model::Verdict::kUsable;
+    calibration.range_clock = range_clock;
     // Not a rotation or mirror image of the ring, which would fit the ranges as well.
     constexpr std::array<std::size_t, 6> kExchanged{0, 2, 4, 1, 3, 5};
     for (std::size_t i = 0; renumbered && i < kExchanged.size(); ++i)

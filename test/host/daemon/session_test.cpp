@@ -31,6 +31,7 @@ class Recorded : public MeasurementSink {
     ranges.push_back(range);
     times_s.push_back(range.t_s);
   }
+  void on_uncorrected_range(const model::RangeSample& range) override { uncorrected_s.push_back(range.t_s); }
   void on_pose_prior(const model::PoseSample& pose) override {
     poses.push_back(pose);
     times_s.push_back(pose.t_s);
@@ -50,6 +51,7 @@ class Recorded : public MeasurementSink {
   std::vector<model::SensorSample> sensors;
   std::vector<model::OdometrySample> odometry;
   std::vector<model::RangeSample> ranges;
+  std::vector<double> uncorrected_s;  // of ranges
   std::vector<model::PoseSample> poses;
   std::vector<double> times_s;  // of all measurements, in the order of delivery
   int clock_sets = 0;
@@ -119,6 +121,45 @@ TEST(Session, PutsRangesOnTheRobotsClockAndInOrder) {
   EXPECT_EQ(site.session.counters().passed_late, 0U);
   EXPECT_EQ(site.session.counters().dropped_late, 0U);
   EXPECT_EQ(site.session.frames_lost(), 0U);
+}
+
+// A range that is late by more than the lag and the largest delay together still comes in its order.
+TEST(Session, CorrectsTheClockOfRangesBeforeItOrdersThem) {
+  constexpr double kLate_s = 0.9;
+  Site site;
+  site.session.set_range_clock({.offset_s = kLate_s});
+  for (int i = 0; i < 500; ++i) {
+    const double host_s = 100.0 + 0.02 * i;
+    site.odometry(host_s);
+    if (i % 5 == 4) site.report(host_s + 0.005, {0.12, 0.11, 0.10});
+    site.session.advance(host_s + 0.005);
+  }
+  ASSERT_GT(site.sink.ranges.size(), 200U);
+  EXPECT_TRUE(std::is_sorted(site.sink.times_s.begin(), site.sink.times_s.end()));
+  EXPECT_EQ(site.session.counters().passed_late, 0U);
+  EXPECT_EQ(site.session.counters().dropped_late, 0U);
+  ASSERT_EQ(site.sink.uncorrected_s.size(), site.sink.ranges.size());
+  for (std::size_t i = 0; i < site.sink.ranges.size(); ++i)
+    ASSERT_NEAR(site.sink.uncorrected_s[i] - site.sink.ranges[i].t_s, kLate_s, 1e-6);
+}
+
+// A drift that has grown for days is not that of this drive.
+TEST(Session, DoesNotCorrectTheClockOfRangesByMoreThanItsBound) {
+  std::vector<std::string> log;
+  Site site({.log = [&](std::string_view text) { log.emplace_back(text); }});
+  site.session.set_range_clock({.offset_s = 0.1, .drift = 1e-3});
+  for (int i = 0; i < 100; ++i) {
+    const double host_s = 100.0 + 0.02 * i;
+    site.odometry(host_s);
+    if (i % 5 == 4) site.report(host_s + 0.005, {0.12, 0.11});
+    site.session.advance(host_s + 0.005);
+  }
+  ASSERT_FALSE(site.sink.ranges.empty());
+  for (std::size_t i = 0; i < site.sink.ranges.size(); ++i)
+    EXPECT_EQ(site.sink.uncorrected_s[i], site.sink.ranges[i].t_s);
+  EXPECT_EQ(std::count_if(log.begin(), log.end(),
+                          [](const auto& line) { return line.find("range_clock") != std::string::npos; }),
+            1);
 }
 
 TEST(Session, PutsOtherSensorsInOrderToo) {

@@ -132,7 +132,8 @@ class SimulatedSite {
   [[nodiscard]] const std::vector<std::uint8_t>& received() const { return received_; }
 
   std::vector<model::Anchor> anchors;
-  double range_bias_m = 0.0;  // of all pairs
+  double range_bias_m = 0.0;   // of all pairs
+  double ranges_late_s = 0.0;  // against the robot's motion
   bool pose_priors = true;
   double odometry_period_s = kOdometryPeriod_s;
   // Change the lines for a time of the robot's clock, and the frames of the tag, before they are sent.
@@ -170,7 +171,7 @@ class SimulatedSite {
     std::vector<groma_Range> ranges;
     for (std::size_t i = 0; i < anchors.size(); ++i) {
       const double age_s = 0.08 - 0.002 * static_cast<double>(i);
-      const Pose pose = truth(kRobotOrigin_s + site_s - age_s);
+      const Pose pose = truth(kRobotOrigin_s + site_s - age_s - ranges_late_s);
       const double range_m =
           (Eigen::Vector3d(pose.x_m, pose.y_m, kTagHeight_m) - anchors[i].position_m).norm();
       // A deterministic ripple of 3 cm instead of noise.
