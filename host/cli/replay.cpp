@@ -91,6 +91,39 @@ void write_report(const ReplayOptions& options, const FilterInput::Drive& drive,
   write_page(*options.report, std::move(page), versions_of(drive.dataset, drive.calibration));
 }
 
+// The JSON object where the data gave no poses, and the diagnosis says why.
+Json empty_json(const ReplayOptions& options, const FilterInput::Drive& drive,
+                const filter::ReplayResult& result, const std::vector<diagnosis::Finding>& findings) {
+  return Json{{"model", options.model},
+              {"ranges_seen", result.ranges_seen},
+              {"ranges_used", result.counters.ranges[filter::RangeOutcome::kUsed]},
+              {"ranges_gated", result.counters.ranges[filter::RangeOutcome::kGated]},
+              {"state", nullptr},
+              {"state_shares", Json::object()},
+              {"diagnosis", diagnosis::to_json(findings)},
+              {"dropped", cli::to_json(drive.dataset.dropped)},
+              {"wall_s", nullptr},
+              {"realtime_factor", nullptr},
+              {"propagate_ns", nullptr},
+              {"update_ns", nullptr}};
+}
+
+// Throws DataError if there are no poses, or some are not finite.
+void expect_poses(const ReplayOptions& options, const FilterInput::Drive& drive,
+                  const filter::ReplayResult& result) {
+  if (result.rows.empty() && drive.options.knows_start) {
+    throw io::DataError({options.input.dataset() / "odometry.csv"}, "there is no odometry in the chosen time",
+                        "choose another --from and --to");
+  }
+  if (result.rows.empty()) {
+    throw io::DataError({options.input.dataset()},
+                        "there is no pose prior to start from in the chosen time, and no start was found "
+                        "from ranges and motion",
+                        "choose another --from and --to, or give --start X,Y,YAW");
+  }
+  options.input.expect_finite(result.rows, result.spatial);
+}
+
 int run(const ReplayOptions& options) {
   if (options.stream) {
     return replay_stream({.capture = options.input.dataset(),
@@ -117,23 +150,12 @@ int run(const ReplayOptions& options) {
   if (findings.empty()) {
     if (const auto mismatch = FilterInput::warn_of_mismatch(result, warnings)) findings.push_back(*mismatch);
   }
-  if (result.rows.empty()) {
-    if (replay.knows_start) {
-      throw io::DataError({options.input.dataset() / "odometry.csv"},
-                          "there is no odometry in the chosen time", "choose another --from and --to");
-    }
-    if (options.input.json() && !findings.empty()) {
-      say_json(Json{{"model", options.model},
-                    {"ranges_seen", result.ranges_seen},
-                    {"state", nullptr},
-                    {"diagnosis", diagnosis::to_json(findings)}});
-    }
-    throw io::DataError({options.input.dataset()},
-                        "there is no pose prior to start from in the chosen time, and no start was found "
-                        "from ranges and motion",
-                        "choose another --from and --to, or give --start X,Y,YAW");
+  try {
+    expect_poses(options, drive, result);
+  } catch (const io::DataError&) {
+    if (options.input.json() && !findings.empty()) say_json(empty_json(options, drive, result, findings));
+    throw;
   }
-  options.input.expect_finite(result.rows, result.spatial);
   std::vector<io::RowWords> words;
   words.reserve(result.states.size());
   for (const auto& [state, reason] : result.states)

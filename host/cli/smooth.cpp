@@ -48,6 +48,27 @@ void write_report(const SmoothOptions& options, const FilterInput::Drive& drive,
   write_page(*options.report, std::move(page), versions_of(drive.dataset, drive.calibration));
 }
 
+// Throws DataError if there are no poses, or some are not finite.
+void expect_poses(const SmoothOptions& options, const smoother::Result& result) {
+  if (result.rows.empty()) {
+    throw io::DataError({options.input.dataset() / "odometry.csv"},
+                        "there are fewer than two odometry samples in the chosen time",
+                        "choose another --from and --to");
+  }
+  options.input.expect_finite(result.rows);
+}
+
+// The JSON object where the data gave no poses, and the diagnosis says why.
+Json empty_json(const FilterInput::Drive& drive, const smoother::Result& result,
+                const std::vector<diagnosis::Finding>& findings) {
+  Json json{{"ranges_seen", result.ranges_seen}, {"diagnosis", diagnosis::to_json(findings)}};
+  for (const char* key : {"ranges_in_sight", "rounds", "converged", "scale_error", "yaw_rate_bias_radps",
+                          "range_delay_s", "odometry_delay_s"})
+    json[key] = nullptr;
+  json["dropped"] = cli::to_json(drive.dataset.dropped);
+  return json;
+}
+
 int run(const SmoothOptions& options) {
   io::expect_writable(options.input.output());
   prepare_report(options.report);
@@ -58,16 +79,16 @@ int run(const SmoothOptions& options) {
   const std::vector<diagnosis::Finding> findings = FilterInput::diagnose(drive, warnings);
   if (options.fix) fix_clock(findings, drive.dataset.ranges, warnings);
   const smoother::Result result = smoother::smooth(drive.run(), drive.options);
-  if (result.rows.empty()) {
-    throw io::DataError({options.input.dataset() / "odometry.csv"},
-                        "there are fewer than two odometry samples in the chosen time",
-                        "choose another --from and --to");
+  try {
+    expect_poses(options, result);
+  } catch (const io::DataError&) {
+    if (options.input.json() && !findings.empty()) say_json(empty_json(drive, result, findings));
+    throw;
   }
   if (!result.converged) {
     warnings.add(fmt::format("{}: not converged after {} iterations; is the start right?",
                              options.input.dataset().string(), result.rounds));
   }
-  options.input.expect_finite(result.rows);
   io::write_file(options.input.output(), io::format_estimate(result.rows));
   if (options.report) write_report(options, drive, result);
   FilterInput::warn_of_samples(result.counters, warnings);

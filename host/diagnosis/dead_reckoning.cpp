@@ -7,15 +7,15 @@
 
 namespace groma::diagnosis {
 
-DeadReckoning::DeadReckoning(std::span<const model::OdometrySample> odometry, double yaw_rate_scale)
-    : odometry_(odometry), yaw_rate_scale_(yaw_rate_scale), path_(odometry.size()) {
+DeadReckoning::DeadReckoning(std::span<const model::OdometrySample> odometry, YawRateError yaw_rate)
+    : odometry_(odometry), yaw_rate_(yaw_rate), path_(odometry.size()) {
   for (std::size_t i = 1; i < path_.size(); ++i)
     path_[i] = advance(path_[i - 1], odometry_[i - 1], odometry_[i].t_s - odometry_[i - 1].t_s);
 }
 
 DeadReckoning::Place DeadReckoning::advance(const Place& from, const model::OdometrySample& held,
                                             double dt_s) const {
-  const double turn_rad = held.omega_radps / yaw_rate_scale_ * dt_s;
+  const double turn_rad = (held.omega_radps - yaw_rate_.bias_radps) / yaw_rate_.scale * dt_s;
   const Eigen::Rotation2Dd middle(from.heading_rad + 0.5 * turn_rad);
   return {from.position_m + middle * Eigen::Vector2d(held.vx_mps, held.vy_mps) * dt_s,
           from.heading_rad + turn_rad};

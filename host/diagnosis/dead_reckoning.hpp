@@ -18,18 +18,25 @@ class DeadReckoning {
     double heading_rad = 0.0;
   };
 
-  // `yaw_rate_scale`: given over true. `odometry` is in the order of its times, and outlives this.
-  DeadReckoning(std::span<const model::OdometrySample> odometry, double yaw_rate_scale);
+  // Of the yaw rate; given: true times `scale` plus bias.
+  struct YawRateError {
+    double scale = 1.0;
+    double bias_radps = 0.0;
+    bool operator==(const YawRateError&) const = default;
+  };
+
+  // `odometry` is in the order of its times, and outlives this.
+  DeadReckoning(std::span<const model::OdometrySample> odometry, YawRateError yaw_rate);
 
   // NaN outside of the odometry's times.
   [[nodiscard]] Place at(double t_s) const;
-  [[nodiscard]] double yaw_rate_scale() const noexcept { return yaw_rate_scale_; }
+  [[nodiscard]] const YawRateError& yaw_rate() const noexcept { return yaw_rate_; }
 
  private:
   [[nodiscard]] Place advance(const Place& from, const model::OdometrySample& held, double dt_s) const;
 
   std::span<const model::OdometrySample> odometry_;
-  double yaw_rate_scale_;
+  YawRateError yaw_rate_;
   std::vector<Place> path_;  // at each sample
 };
 

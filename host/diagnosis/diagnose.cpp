@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 #include <iterator>
+#include <set>
 #include <utility>
 
 #include "host/calibration/verdict.hpp"
@@ -42,6 +43,20 @@ void join_clocks(std::vector<Finding>& of_odometry, const std::vector<Finding>& 
   }
 }
 
+// By hand: a tenth, so that poses of a part of the drive do not make the rest look too long.
+bool lasts_as_long(const std::vector<model::PoseSample>& poses,
+                   const std::vector<model::OdometrySample>& odometry) {
+  if (poses.empty() || odometry.empty()) return false;
+  return poses.back().t_s - poses.front().t_s > 0.1 * (odometry.back().t_s - odometry.front().t_s);
+}
+
+template <class Anchors>
+std::set<model::NodeId> ids_of(const Anchors& anchors) {
+  std::set<model::NodeId> out;
+  for (const auto& anchor : anchors) out.insert(anchor.id);
+  return out;
+}
+
 }  // namespace
 
 Data data_of(const io::Dataset& dataset) {
@@ -75,15 +90,20 @@ std::vector<Finding> diagnose(Data data) {
     append(compare_with_survey(data), findings);
   }
   append(find_wrong_height(data), findings);
-  append(find_unknown_nodes(data), findings);
+  append(find_unknown_nodes(data, ids_of(data.anchors), "anchors.csv"), findings);
   return findings;
 }
 
 std::vector<Finding> diagnose(Data data, const model::Calibration& calibration) {
-  data.poses.clear();
+  // The start may be all that there is of poses.
+  if (!lasts_as_long(data.poses, data.odometry)) data.poses.clear();
   std::vector<Finding> findings = find_wrong_times(data);
-  if (times_overlap(findings)) append(compare_with_calibration(data, calibration), findings);
-  append(find_unknown_nodes(data), findings);
+  data.poses.clear();
+  if (times_overlap(findings)) {
+    append(find_wrong_lengths(data), findings);
+    append(compare_with_calibration(data, calibration), findings);
+  }
+  append(find_unknown_nodes(data, ids_of(calibration.anchors), "the calibration"), findings);
   return findings;
 }
 

@@ -16,7 +16,7 @@ namespace groma::diagnosis {
 // Most likely first; empty where nothing is wrong, or nothing fits. Deterministic.
 [[nodiscard]] std::vector<Finding> diagnose(Data data);
 
-// The same without poses, for a command that has a calibration: ranges, odometry and tags alone.
+// The same for a command that has a calibration: ranges, odometry and tags alone, and the times of poses.
 [[nodiscard]] std::vector<Finding> diagnose(Data data, const model::Calibration& calibration);
 
 // The first finding, if it shows that what anchors' positions rest on (poses, ranges, tags, clocks)

@@ -4,8 +4,11 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdio>
+#include <cstdlib>
 #include <limits>
 #include <numbers>
+#include <string>
 #include <utility>
 
 #include <Eigen/Cholesky>
@@ -106,7 +109,7 @@ Hypothesis clock_offset(std::optional<double> start_s, std::string_view referenc
     if (std::abs(offset_s) < kLeastClock_s || !is_certain(fit, 0, offset_s)) return std::nullopt;
     return Finding{
         .cause = "clock-offset",
-        .evidence = fmt::format("the ranges' times are {} against the {}'", late(offset_s), reference),
+        .evidence = fmt::format("the ranges' times are {} against the {}", late(offset_s), reference),
         .remedy = fmt::format("subtract {:.3f} s from the times of the ranges, or timestamp both with one "
                               "clock; --fix does so in memory",
                               offset_s),
@@ -138,15 +141,14 @@ Hypothesis clock_drift(std::optional<double> start_s, double begin_s, double end
     const double drift = fit.at(1);
     const double spread_s = drift * (end_s - begin_s);
     if (std::abs(spread_s) < kLeastDrift_s || !is_certain(fit, 1, drift)) return std::nullopt;
-    return Finding{
-        .cause = "clock-drift",
-        .evidence = fmt::format("the ranges' clock and the {}' separate by {:.2f} s over the drive "
-                                "(ranges {} in the middle)",
-                                reference, std::abs(spread_s), late(fit.at(0))),
-        .remedy = "timestamp ranges and poses with one clock; --fix corrects the times in memory",
-        .value = {drift},
-        .sigma = {sigma_of(fit, 1, kDriftSystematic_s / (end_s - begin_s))},
-        .clock = mistake(fit.at).clock};
+    return Finding{.cause = "clock-drift",
+                   .evidence = fmt::format("the ranges' clock and the {} separate by {:.2f} s over the drive "
+                                           "(ranges {} in the middle)",
+                                           reference, std::abs(spread_s), late(fit.at(0))),
+                   .remedy = "timestamp ranges and poses with one clock; --fix corrects the times in memory",
+                   .value = {drift},
+                   .sigma = {sigma_of(fit, 1, kDriftSystematic_s / (end_s - begin_s))},
+                   .clock = mistake(fit.at).clock};
   };
   out.correct = [mistake](const RangeFit& fit, Data& data) {
     const model::ClockError clock = mistake(fit.at).clock;
@@ -186,16 +188,18 @@ Hypothesis mirrored_tags() {
   return out;
 }
 
-Hypothesis wrong_lever_arm(std::size_t tag, const Data& data) {
+Hypothesis wrong_lever_arm(std::size_t tag, const Data& data, double height_variance_m2) {
   constexpr double kPrior_m = 1.0;  // by hand: half the size of a robot
   Hypothesis out;
   out.starts = {
       with({0.0, 0.0, 0.0}, {kPrior_m, kPrior_m, kPrior_m}, {1e-3, 1e-3, 1e-3},
            [tag](const Eigen::VectorXd& at) { return Mistake{.tag = tag, .lever_arm_m = at.head<3>()}; })};
-  out.name = [id = data.tags[tag].id](const RangeFit& fit) -> std::optional<Finding> {
+  out.name = [id = data.tags[tag].id, height_variance_m2](const RangeFit& fit) -> std::optional<Finding> {
     const Eigen::Vector3d& error_m = fit.at.head<3>();
-    const double certain_m2 = error_m.squaredNorm() - fit.covariance.trace();
-    const double chi2 = error_m.dot(fit.covariance.ldlt().solve(error_m));
+    Eigen::Matrix3d covariance = fit.covariance;
+    covariance(2, 2) += height_variance_m2;
+    const double certain_m2 = (error_m.array().square() - covariance.diagonal().array()).max(0.0).sum();
+    const double chi2 = error_m.dot(covariance.ldlt().solve(error_m));
     if (certain_m2 < kLeastLeverArm_m * kLeastLeverArm_m || chi2 < kSignificance * kSignificance)
       return std::nullopt;
     Finding finding{
@@ -207,7 +211,8 @@ Hypothesis wrong_lever_arm(std::size_t tag, const Data& data) {
         .of = {id}};
     for (Eigen::Index axis = 0; axis < 3; ++axis) {
       finding.value.push_back(error_m(axis));
-      finding.sigma.push_back(sigma_of(fit, axis, kLeverArmSystematic_m));
+      finding.sigma.push_back(
+          std::hypot(std::sqrt(std::max(0.0, covariance(axis, axis))), kLeverArmSystematic_m));
     }
     return finding;
   };
@@ -256,7 +261,8 @@ Hypothesis heading_sign() {
 }
 
 std::vector<Hypothesis> of_clock_and_tags(const Data& data, const RangeFit& given,
-                                          const MakeScene& make_scene, std::string_view reference) {
+                                          const MakeScene& make_scene, std::string_view reference,
+                                          double height_variance_m2) {
   std::optional<double> offset_s;
   if (given.scale_m > kFarSigmas * data.priors.sigma_m) offset_s = best_offset_s(data, make_scene);
   std::vector<Hypothesis> out{
@@ -266,7 +272,8 @@ std::vector<Hypothesis> of_clock_and_tags(const Data& data, const RangeFit& give
   for (std::size_t a = 0; a < data.tags.size(); ++a) {
     for (std::size_t b = a + 1; b < data.tags.size(); ++b) out.push_back(swapped_tags(a, b, data));
   }
-  for (std::size_t tag = 0; tag < data.tags.size(); ++tag) out.push_back(wrong_lever_arm(tag, data));
+  for (std::size_t tag = 0; tag < data.tags.size(); ++tag)
+    out.push_back(wrong_lever_arm(tag, data, height_variance_m2));
   out.push_back(mirrored_tags());
   return out;
 }
@@ -348,10 +355,12 @@ std::optional<Finding> find_likeliest(Data& data, const MakeScene& make_scene,
 }  // namespace
 
 std::vector<Finding> find_mistakes(Data& data, const MakeScene& make_scene,
-                                   const MakeHypotheses& hypotheses_of) {
+                                   const MakeHypotheses& hypotheses_of,
+                                   const std::function<void(Data&)>& prepare) {
   constexpr std::size_t kMost = 3;  // by hand: who makes more mistakes at once corrects these first
   std::vector<Finding> findings;
   while (findings.size() < kMost) {
+    if (prepare) prepare(data);
     std::optional<Finding> found = find_likeliest(data, make_scene, hypotheses_of);
     if (!found) break;
     findings.push_back(std::move(*found));

@@ -28,14 +28,15 @@ struct Hypothesis {
   std::function<void(const RangeFit&, Data&)> correct = [](const RangeFit&, Data&) {};
 };
 
-// `reference`: whose clock the ranges are compared with. `start_s`: a further start; the drive is from
-// begin_s to end_s.
+// `reference`: whose clock the ranges are compared with, such as "poses'". `start_s`: a further start; the
+// drive is from begin_s to end_s.
 [[nodiscard]] Hypothesis clock_offset(std::optional<double> start_s, std::string_view reference);
 [[nodiscard]] Hypothesis clock_drift(std::optional<double> start_s, double begin_s, double end_s,
                                      std::string_view reference);
 // Indices of tags.
 [[nodiscard]] Hypothesis swapped_tags(std::size_t a, std::size_t b, const Data& data);
-[[nodiscard]] Hypothesis wrong_lever_arm(std::size_t tag, const Data& data);
+// `height_variance_m2`: how well the anchors' heights are known, together.
+[[nodiscard]] Hypothesis wrong_lever_arm(std::size_t tag, const Data& data, double height_variance_m2);
 // All tags' y to the right.
 [[nodiscard]] Hypothesis mirrored_tags();
 [[nodiscard]] Hypothesis heading_offset();
@@ -49,11 +50,14 @@ using MakeHypotheses = std::function<std::vector<Hypothesis>(const Data&, const 
 // Those of the ranges' clock and the tags' places.
 [[nodiscard]] std::vector<Hypothesis> of_clock_and_tags(const Data& data, const RangeFit& given,
                                                         const MakeScene& make_scene,
-                                                        std::string_view reference);
+                                                        std::string_view reference,
+                                                        double height_variance_m2 = 0.0);
 
 // The mistakes that are named, each corrected in the data before the next is looked for: the hypothesis under
-// which the ranges are likeliest, if they are clearly likelier than as given.
+// which the ranges are likeliest, if they are clearly likelier than as given. `prepare` corrects errors in
+// the data, before each search, that are no mistakes; may be empty.
 [[nodiscard]] std::vector<Finding> find_mistakes(Data& data, const MakeScene& make_scene,
-                                                 const MakeHypotheses& hypotheses_of);
+                                                 const MakeHypotheses& hypotheses_of,
+                                                 const std::function<void(Data&)>& prepare = {});
 
 }  // namespace groma::diagnosis

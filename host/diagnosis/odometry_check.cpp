@@ -150,7 +150,8 @@ class Comparison {
 
  private:
   [[nodiscard]] Step integrate(const Window& window, const Unknowns& at) const {
-    if (!path_ || path_->yaw_rate_scale() != at(kYawScale)) path_.emplace(odometry_, at(kYawScale));
+    const DeadReckoning::YawRateError yaw_rate{.scale = at(kYawScale)};
+    if (!path_ || path_->yaw_rate() != yaw_rate) path_.emplace(odometry_, yaw_rate);
     const auto on_its_clock = [&](double t_s) { return t_s + at(kClock) + at(kDrift) * (t_s - middle_s_); };
     const DeadReckoning::Place from = path_->at(on_its_clock(window.from_s));
     const DeadReckoning::Place to = path_->at(on_its_clock(window.to_s));
@@ -274,19 +275,26 @@ double best_lag_s(const Comparison& comparison, double from_s, double to_s) {
   return best_s;
 }
 
-// The heading offset that turns the odometry's motion into the poses' best.
-void add_heading(const Comparison& comparison, Unknowns& start) {
+// The heading offset that turns the odometry's motion into the poses' best; and its scale, if that is a
+// unit's.
+void add_heading_and_unit(const Comparison& comparison, Unknowns& start) {
   const Eigen::VectorXd r = comparison.residuals(start);
   const auto n = static_cast<Eigen::Index>(comparison.size());
   double dot = 0.0;
   double cross = 0.0;
+  double odometry_m2 = 0.0;
+  double poses_m2 = 0.0;
   for (Eigen::Index i = 0; i < n; ++i) {
     if (!std::isfinite(r(i))) continue;
     const Eigen::Vector2d& poses = comparison.windows()[static_cast<std::size_t>(i)].moved_m;
     const Eigen::Vector2d odometry = poses - r.segment<2>(n + 2 * i);
     dot += odometry.dot(poses);
     cross += odometry.x() * poses.y() - odometry.y() * poses.x();
+    odometry_m2 += odometry.squaredNorm();
+    poses_m2 += poses.squaredNorm();
   }
+  const double scale = std::sqrt(odometry_m2 / poses_m2);
+  if (std::isfinite(scale) && scale > 2.0) start(kSpeedScale) *= scale;  // by hand: feet are 3.3
   start(kHeading) = -std::atan2(cross, dot);
 }
 
@@ -316,7 +324,7 @@ Estimate best_estimate(const Comparison& comparison, std::span<const Clock> cloc
       start.at(kClock) = clock.offset_s;
       start.at(kDrift) = clock.drift;
       start.at(kYawScale) = yaw_scale;
-      add_heading(comparison, start.at);
+      add_heading_and_unit(comparison, start.at);
       score(comparison.residuals(start.at), start, 30);
     }
   }

@@ -7,6 +7,8 @@
 #include <cmath>
 #include <complex>
 #include <cstddef>
+#include <functional>
+#include <limits>
 #include <map>
 #include <optional>
 #include <set>
@@ -73,16 +75,21 @@ std::vector<Times> times_of(const Data& data) {
 // A table in milliseconds lasts a thousand times as long as the others. By hand: tables of one drive differ
 // by less than a factor of 10 in duration, and units by at least 1000.
 constexpr double kSpanTolerance = 9.0;
-// By hand: no robot reports its motion, its pose or ranges more rarely than this, so that a longer median
-// interval is in another unit.
-constexpr double kLongestInterval_s = 5.0;
+// By hand: no robot reports both its motion and its ranges more rarely than this, so that if the median
+// intervals of all tables are longer, they are in another unit.
+constexpr double kLongestInterval_s = 0.5;
+
+// That of all tables, if none of them is in seconds.
+std::optional<Unit> common_time_unit(std::span<const Times> all) {
+  double shortest_s = std::numeric_limits<double>::infinity();
+  for (const Times& of : all) shortest_s = std::min(shortest_s, of.interval_s);
+  if (all.empty() || shortest_s < kLongestInterval_s) return std::nullopt;
+  const auto unit = std::find_if(kTimeUnits.begin(), kTimeUnits.end(),
+                                 [&](const Unit& of) { return shortest_s / of.factor < kLongestInterval_s; });
+  return unit != kTimeUnits.end() ? std::optional(*unit) : std::nullopt;
+}
 
 std::optional<Unit> time_unit(const Times& of, std::span<const Times> all) {
-  if (of.interval_s > kLongestInterval_s && all.size() < 2) {
-    for (const Unit& unit : kTimeUnits) {
-      if (of.interval_s / unit.factor < kLongestInterval_s) return unit;
-    }
-  }
   const auto shortest = std::min_element(
       all.begin(), all.end(), [](const Times& a, const Times& b) { return a.span_s() < b.span_s(); });
   return unit_of(kTimeUnits, of.span_s() / shortest->span_s(), kSpanTolerance);
@@ -91,37 +98,61 @@ std::optional<Unit> time_unit(const Times& of, std::span<const Times> all) {
 // Lever arms are metres: no robot of this program is longer. By hand.
 constexpr double kLongestLeverArm_m = 20.0;
 
-// Position of the poses at a time; none outside them.
-std::optional<Eigen::Vector2d> position_at(const std::vector<model::PoseSample>& poses, double t_s) {
-  const auto next = std::upper_bound(poses.begin(), poses.end(), t_s,
-                                     [](double t, const model::PoseSample& pose) { return t < pose.t_s; });
-  if (next == poses.begin() || next == poses.end()) return std::nullopt;
-  const model::PoseSample& from = *std::prev(next);
-  const double fraction = (t_s - from.t_s) / (next->t_s - from.t_s);
-  return Eigen::Vector2d(from.x_m + fraction * (next->x_m - from.x_m),
-                         from.y_m + fraction * (next->y_m - from.y_m));
+// A place at a time; none where it is unknown.
+using PlaceAt = std::function<std::optional<Eigen::Vector2d>(double t_s)>;
+
+// Of the poses.
+PlaceAt places_of(const std::vector<model::PoseSample>& poses) {
+  return [&poses](double t_s) -> std::optional<Eigen::Vector2d> {
+    const auto next = std::upper_bound(poses.begin(), poses.end(), t_s,
+                                       [](double t, const model::PoseSample& pose) { return t < pose.t_s; });
+    if (next == poses.begin() || next == poses.end()) return std::nullopt;
+    const model::PoseSample& from = *std::prev(next);
+    const double fraction = (t_s - from.t_s) / (next->t_s - from.t_s);
+    return Eigen::Vector2d(from.x_m + fraction * (next->x_m - from.x_m),
+                           from.y_m + fraction * (next->y_m - from.y_m));
+  };
+}
+
+// On the odometry's way, stretched out, so that its yaw rate does not matter.
+PlaceAt places_on_way(const std::vector<model::OdometrySample>& odometry) {
+  std::vector<std::pair<double, double>> way;  // time, distance
+  double way_m = 0.0;
+  for (std::size_t i = 0; i < odometry.size(); ++i) {
+    if (i > 0) {
+      way_m += std::hypot(odometry[i - 1].vx_mps, odometry[i - 1].vy_mps) *
+               (odometry[i].t_s - odometry[i - 1].t_s);
+    }
+    way.emplace_back(odometry[i].t_s, way_m);
+  }
+  return [way = std::move(way)](double t_s) -> std::optional<Eigen::Vector2d> {
+    const auto next = std::upper_bound(way.begin(), way.end(), std::pair(t_s, 0.0),
+                                       [](const auto& a, const auto& b) { return a.first < b.first; });
+    if (next == way.begin() || next == way.end()) return std::nullopt;
+    const auto& from = *std::prev(next);
+    const double fraction = (t_s - from.first) / (next->first - from.first);
+    return Eigen::Vector2d(from.second + fraction * (next->second - from.second), 0.0);
+  };
 }
 
 // Change of a range over the distance that the robot moved meanwhile, at most 1 without noise: its quantile
-// over all pairs. Changes of at least kStep_m are compared, so that the noise of a range matters little. By
-// hand.
-constexpr double kStep_m = 2.0;
-constexpr double kQuantile = 0.8;
-std::optional<double> range_change_ratio(const Data& data, std::vector<model::RangeSample> ranges) {
+// over all pairs. Changes over at least `step_m` are compared.
+constexpr double kQuantile = 0.8;  // by hand
+std::optional<double> range_change_ratio(const PlaceAt& place_at,
+                                         const std::vector<model::RangeSample>& ranges, double step_m) {
   struct Last {
     Eigen::Vector2d position_m;
     double range_m;
   };
-  std::sort(ranges.begin(), ranges.end(), [](const auto& a, const auto& b) { return a.t_s < b.t_s; });
   std::map<std::pair<model::NodeId, model::NodeId>, Last> last;
   std::vector<double> ratios;
   for (const model::RangeSample& range : ranges) {
-    const auto position_m = position_at(data.poses, range.t_s);
+    const auto position_m = place_at(range.t_s);
     if (!position_m) continue;
     const auto [at, is_new] =
         last.try_emplace({range.tag_id, range.anchor_id}, Last{*position_m, range.range_m});
     const double moved_m = (*position_m - at->second.position_m).norm();
-    if (is_new || moved_m < kStep_m) continue;
+    if (is_new || moved_m < step_m) continue;
     ratios.push_back(std::abs(range.range_m - at->second.range_m) / moved_m);
     at->second = {*position_m, range.range_m};
   }
@@ -130,6 +161,24 @@ std::optional<double> range_change_ratio(const Data& data, std::vector<model::Ra
       ratios.begin() + static_cast<std::ptrdiff_t>(kQuantile * static_cast<double>(ratios.size()));
   std::nth_element(ratios.begin(), at, ratios.end());
   return *at;
+}
+
+// The middle of the ratio over all runs.
+constexpr double kTypicalRatio = 0.85;
+
+// The ratio over steps of 2 true metres (by hand), so that the noise of a range matters little, although the
+// places may be in feet or millimetres.
+std::optional<double> range_change_ratio(const Data& data, std::vector<model::RangeSample> ranges) {
+  constexpr double kStep_m = 2.0;
+  std::sort(ranges.begin(), ranges.end(), [](const auto& a, const auto& b) { return a.t_s < b.t_s; });
+  const PlaceAt place_at = data.poses.empty() ? places_on_way(data.odometry) : places_of(data.poses);
+  std::optional<double> ratio = range_change_ratio(place_at, ranges, kStep_m);
+  for (int round = 0; round < 3 && ratio && *ratio > 0.0 && *ratio < 0.5 * kTypicalRatio; ++round) {
+    const auto again = range_change_ratio(place_at, ranges, kStep_m * kTypicalRatio / *ratio);
+    if (!again) break;
+    ratio = again;
+  }
+  return ratio;
 }
 
 // How well the course over ground and the yaw agree: 1 if they differ by a constant, 0 if by anything.
@@ -153,24 +202,25 @@ double course_agreement(const std::vector<model::PoseSample>& poses, double unit
 
 }  // namespace
 
-std::vector<Finding> find_unknown_nodes(const Data& data) {
+std::vector<Finding> find_unknown_nodes(const Data& data, const std::set<model::NodeId>& known_anchors,
+                                        std::string_view where_anchors) {
   // By hand: damaged rows have ids of all kinds, each rarely.
   constexpr double kMinShare = 0.005;
   const double least =
       std::max(static_cast<double>(kMinSamples), kMinShare * static_cast<double>(data.ranges.size()));
   std::set<model::NodeId> known_tags;
   for (const model::Tag& tag : data.tags) known_tags.insert(tag.id);
-  std::set<model::NodeId> known_anchors;
-  for (const model::Anchor& anchor : data.anchors) known_anchors.insert(anchor.id);
   std::map<model::NodeId, std::size_t> tags;
   std::map<model::NodeId, std::size_t> anchors;
-  for (const model::RangeSample& range : data.dropped_ranges) {
+  const auto note = [&](const model::RangeSample& range) {
     if (!known_tags.contains(range.tag_id)) {
       ++tags[range.tag_id];
     } else if (!known_anchors.empty() && !known_anchors.contains(range.anchor_id)) {
       ++anchors[range.anchor_id];
     }
-  }
+  };
+  std::for_each(data.ranges.begin(), data.ranges.end(), note);
+  std::for_each(data.dropped_ranges.begin(), data.dropped_ranges.end(), note);
   std::vector<Finding> findings;
   const auto report = [&](std::string_view cause, std::string_view kind, std::string_view where,
                           const std::map<model::NodeId, std::size_t>& heard) {
@@ -189,12 +239,21 @@ std::vector<Finding> find_unknown_nodes(const Data& data) {
                         .of = ids});
   };
   report("unknown-tag", "tag", "tags.csv", tags);
-  report("unknown-anchor", "anchor", "anchors.csv", anchors);
+  report("unknown-anchor", "anchor", where_anchors, anchors);
   return findings;
 }
 
 std::vector<Finding> find_wrong_times(Data& data) {
   std::vector<Finding> findings;
+  if (const std::vector<Times> given = times_of(data); const auto unit = common_time_unit(given)) {
+    findings.push_back(
+        {.cause = "time-unit",
+         .evidence = fmt::format("all times are in {}: the {} last {:.4g}, sampled every {:.4g}", unit->name,
+                                 given.front().name, given.front().span_s(), given.front().interval_s),
+         .remedy = fmt::format("divide the column t_s of all tables by {:.0f}", unit->factor),
+         .value = {unit->factor}});
+    for (const Times& of : given) scale_times(data, of.name, unit->factor);
+  }
   for (const Times& of : times_of(data)) {
     const std::vector<Times> all = times_of(data);
     const std::optional<Unit> unit = time_unit(of, all);
@@ -256,8 +315,6 @@ std::vector<Finding> find_wrong_lengths(Data& data) {
   // By hand: a range changes by 0.5 to 1.0 of the way (quantile of all runs: 0.66 to 0.97); feet are 3.3.
   constexpr double kTolerance = 0.45;
   if (!ratio) return findings;
-  // With the quantile's middle over all runs.
-  constexpr double kTypical = 0.85;
   const auto report = [&](std::string_view what, const Unit& unit, std::string_view remedy) {
     findings.push_back(
         {.cause = "length-unit",
@@ -267,7 +324,7 @@ std::vector<Finding> find_wrong_lengths(Data& data) {
          .remedy = std::string(remedy),
          .value = {unit.factor}});
   };
-  if (const auto unit = unit_of(kLengthUnits, *ratio / kTypical, kTolerance)) {
+  if (const auto unit = unit_of(kLengthUnits, *ratio / kTypicalRatio, kTolerance)) {
     report("the ranges", *unit, "give the column range_m in metres");
     for (model::RangeSample& range : all) range.range_m /= unit->factor;
     std::erase_if(all, [](const model::RangeSample& range) {
@@ -275,12 +332,21 @@ std::vector<Finding> find_wrong_lengths(Data& data) {
     });
     std::stable_sort(all.begin(), all.end(), [](const auto& a, const auto& b) { return a.t_s < b.t_s; });
     data.ranges = std::move(all);
-  } else if (const auto of_poses = unit_of(kLengthUnits, kTypical / *ratio, kTolerance)) {
-    report("the poses", *of_poses, "give the positions of the poses in metres");
+  } else if (const auto of_motion = unit_of(kLengthUnits, kTypicalRatio / *ratio, kTolerance)) {
+    if (data.poses.empty()) {
+      report("the speeds of the odometry", *of_motion, "give vx_mps and vy_mps in metres per second");
+      findings.back().is_of_odometry_alone = true;
+      for (model::OdometrySample& sample : data.odometry) {
+        sample.vx_mps /= of_motion->factor;
+        sample.vy_mps /= of_motion->factor;
+      }
+      return findings;
+    }
+    report("the poses", *of_motion, "give the positions of the poses in metres");
     for (model::PoseSample& pose : data.poses) {
-      pose.x_m /= of_poses->factor;
-      pose.y_m /= of_poses->factor;
-      pose.z_m /= of_poses->factor;
+      pose.x_m /= of_motion->factor;
+      pose.y_m /= of_motion->factor;
+      pose.z_m /= of_motion->factor;
     }
   }
   return findings;

@@ -2,6 +2,8 @@
 // every comparison, and corrects it in the data if it can.
 #pragma once
 
+#include <set>
+#include <string_view>
 #include <vector>
 
 #include "host/diagnosis/data.hpp"
@@ -9,14 +11,18 @@
 
 namespace groma::diagnosis {
 
-// Tags and anchors that are heard but not configured: `unknown-tag` and `unknown-anchor`.
-[[nodiscard]] std::vector<Finding> find_unknown_nodes(const Data& data);
+// Tags that tags.csv lacks, and anchors that are not among `anchors`, but heard: `unknown-tag` and
+// `unknown-anchor`. `where`: what lacks the anchors, and has none if there are no `anchors`.
+[[nodiscard]] std::vector<Finding> find_unknown_nodes(const Data& data,
+                                                      const std::set<model::NodeId>& anchors,
+                                                      std::string_view where);
 
 // Times that are not in seconds (`time-unit`, corrected) or do not overlap (`time-overlap`).
 [[nodiscard]] std::vector<Finding> find_wrong_times(Data& data);
 
 // Lever arms that are too long for a robot, and ranges that change by more, or far less, than the robot
-// moves: `length-unit`, corrected. Moves ranges that are then within bounds from dropped_ranges to ranges.
+// moves by its poses, or without any by its odometry: `length-unit`, corrected. Moves ranges that are then
+// within bounds from dropped_ranges to ranges.
 [[nodiscard]] std::vector<Finding> find_wrong_lengths(Data& data);
 
 // Yaw of poses in degrees: `angle-unit`, corrected.

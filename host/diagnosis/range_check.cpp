@@ -23,7 +23,7 @@ std::unique_ptr<Scene> make_anchor_scene(const Data& data, std::size_t most_rows
 std::vector<Finding> compare_with_poses(Data& data, bool heading_is_known) {
   if (data.ranges.empty() || data.poses.size() < 2) return {};
   return find_mistakes(data, make_anchor_scene, [&](const Data& now, const RangeFit& given) {
-    std::vector<Hypothesis> out = of_clock_and_tags(now, given, make_anchor_scene, "poses");
+    std::vector<Hypothesis> out = of_clock_and_tags(now, given, make_anchor_scene, "poses'");
     if (!heading_is_known) {
       out.push_back(heading_offset());
       out.push_back(heading_sign());

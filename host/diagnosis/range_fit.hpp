@@ -33,6 +33,7 @@ struct Mistake {
   double height_m = 0.0;     // of the surface
   double speed_scale = 1.0;  // of the odometry
   double yaw_rate_scale = 1.0;
+  double yaw_rate_bias_radps = 0.0;
   std::size_t tag = 0;  // whose lever arm is wrong
   Eigen::Vector3d lever_arm_m = Eigen::Vector3d::Zero();
 };

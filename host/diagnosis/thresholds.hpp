@@ -20,8 +20,8 @@ inline constexpr int kSlices = 20;
 // half. An error below a third of it changes nothing. The limit is the geometric mean of both.
 inline constexpr double kLimit = 1.0 / std::numbers::sqrt3;
 inline constexpr double kLeastClock_s = kLimit * 0.1;
-// Of the offset from the drive's begin to its end.
-inline constexpr double kLeastDrift_s = 0.1;
+// Of the offset from the drive's begin to its end: 0.001 s/s for four minutes.
+inline constexpr double kLeastDrift_s = kLimit * 0.24;
 inline constexpr double kLeastHeading_rad = kLimit * 0.15;
 inline constexpr double kLeastLeverArm_m = kLimit * 0.3;
 inline constexpr double kLeastHeight_m = kLimit * 0.3;

@@ -9,6 +9,8 @@
 
 #include <Eigen/Geometry>
 
+#include "host/diagnosis/thinning.hpp"
+
 namespace groma::diagnosis {
 namespace {
 
@@ -44,25 +46,26 @@ WindowScene::WindowScene(const Data& data, const model::Calibration& calibration
   const double windows = std::max(1.0, std::ceil(duration_s / kWindowLength_s));
   const double kept = std::min(windows, std::ceil(static_cast<double>(most_rows) / kWindowRows));
   const double share = kept / windows;
-  const auto is_kept = [&](double window) {
+  const auto is_shown = [&](double window) {
     return std::floor((window + 1.0) * share) > std::floor(window * share);
   };
-  const auto stride = static_cast<std::size_t>(
-      std::max(1.0, share * static_cast<double>(data.ranges.size()) / static_cast<double>(most_rows)));
+  const double share_of_ranges =
+      static_cast<double>(most_rows) / std::max(1.0, share * static_cast<double>(data.ranges.size()));
   std::map<long, std::vector<RangeRow>> rows_of_windows;
-  // A prime beside the tags' and anchors' order in a cycle, so that thinning keeps all pairs.
-  const std::size_t step = stride > 1 && stride % 2 == 0 ? stride + 1 : stride;
-  for (std::size_t i = 0; i < data.ranges.size(); i += step) {
+  for (std::size_t i = 0; i < data.ranges.size(); ++i) {
+    if (!is_kept(i, share_of_ranges)) continue;
     const model::RangeSample& range = data.ranges[i];
     if (range.t_s < begin_s || range.t_s >= data.odometry.back().t_s) continue;
     const double since_s = range.t_s - begin_s;
     const double window = std::floor(since_s / kWindowLength_s);
-    if (!is_kept(window)) continue;
+    if (!is_shown(window)) continue;
     const model::AnchorCalibration* anchor = model::find_anchor(calibration, range.anchor_id);
     if (anchor == nullptr || !model::has_position(*anchor) || !tags.contains(range.tag_id)) continue;
     const auto bias = std::find_if(anchor->pairs.begin(), anchor->pairs.end(),
                                    [&](const model::PairBias& pair) { return pair.tag_id == range.tag_id; });
-    if (bias == anchor->pairs.end() || !(bias->beta_sigma_m < kMostBetaSigma_m)) continue;
+    if (bias == anchor->pairs.end()) continue;
+    // A calibration may know a bias and a height together much better than each.
+    if (!(bias->beta_sigma_m < kMostBetaSigma_m) && !anchor->held_out_rms_m) continue;
     const auto [pair, is_new] = pairs.try_emplace({range.anchor_id, range.tag_id}, pairs_.size());
     if (is_new) pairs_.push_back({anchor->position_m, model::values_of(*bias)});
     rows_of_windows[std::lround(window)].push_back(
@@ -80,14 +83,15 @@ WindowScene::WindowScene(const Data& data, const model::Calibration& calibration
   if (windows_.size() < kMinReckonedWindows) rows_.clear();
 }
 
-void WindowScene::reckon(double yaw_rate_scale) const {
-  path_.emplace(data_.odometry, yaw_rate_scale);
+void WindowScene::reckon(const DeadReckoning::YawRateError& yaw_rate) const {
+  path_.emplace(data_.odometry, yaw_rate);
   begins_.clear();
   for (const double begin_s : windows_) begins_.push_back(path_->at(begin_s));
 }
 
 Eigen::Vector3d WindowScene::antenna_m(const RangeRow& row, const Mistake& mistake) const {
-  if (!path_ || path_->yaw_rate_scale() != mistake.yaw_rate_scale) reckon(mistake.yaw_rate_scale);
+  const DeadReckoning::YawRateError yaw_rate{mistake.yaw_rate_scale, mistake.yaw_rate_bias_radps};
+  if (!path_ || path_->yaw_rate() != yaw_rate) reckon(yaw_rate);
   const DeadReckoning::Place& begin = begins_[row.block];
   const DeadReckoning::Place now = path_->at(mistake.clock.corrected_s(row.t_s));
   const Eigen::Rotation2Dd back(-begin.heading_rad);

@@ -35,12 +35,12 @@ class WindowScene final : public Scene {
     Eigen::Vector3d anchor_m;
     model::TermVector terms;
   };
-  void reckon(double yaw_rate_scale) const;
+  void reckon(const DeadReckoning::YawRateError& yaw_rate) const;
 
   const Data& data_;
   std::vector<double> windows_;  // begin of each, s
   std::vector<Pair> pairs_;      // RangeRow::anchor is the index here
-  // With the yaw-rate scale that was asked for last.
+  // With the error of the yaw rate that was asked for last.
   mutable std::optional<DeadReckoning> path_;
   mutable std::vector<DeadReckoning::Place> begins_;  // of the windows
 };

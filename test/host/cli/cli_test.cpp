@@ -307,7 +307,7 @@ TEST_F(CliTest, ReplayFindsThePoseAndReportsItsStateWithoutAPosePrior) {
   EXPECT_LT(json::parse(scored.out)["ate_m"]["mean"], 0.5);
 }
 
-TEST_F(CliTest, ReplayReportsMapMismatchOfRenumberedAnchors) {
+TEST_F(CliTest, ReplayNamesRenumberedAnchors) {
   ASSERT_THAT(calibrate().exit_code, testing::AnyOf(0, 3));
   io::Dataset data = test::make_small_run(kDrive_s, 1);
   std::set<model::NodeId> ids;
@@ -320,11 +320,64 @@ TEST_F(CliTest, ReplayReportsMapMismatchOfRenumberedAnchors) {
   const ChildResult result = replay_calibrated({"--json"});
   EXPECT_EQ(result.exit_code, 3);
   EXPECT_THAT(result.err,
-              AllOf(HasSubstr("map-mismatch: "), HasSubstr("\n  load the calibration of this site")));
+              AllOf(HasSubstr("renumbered-anchors: "), HasSubstr("\n  calibrate again, or restore")));
   const json summary = json::parse(result.out);
-  EXPECT_EQ(summary["diagnosis"][0]["cause"], "map-mismatch");
+  EXPECT_EQ(summary["diagnosis"][0]["cause"], "renumbered-anchors");
+  EXPECT_EQ(summary["diagnosis"][0]["of"].size(), ids.size());
   EXPECT_LT(summary["state_shares"].value("TRACKING", 0.0), 0.05);
   EXPECT_THAT(read_text(estimate_), HasSubstr(",map-mismatch,"));
+}
+
+// calibrate and smooth correct the ranges' clock in memory, and say so; replay uses what calibrate stored.
+TEST_F(CliTest, FixesTheClockOfTheRanges) {
+  constexpr double kLate_s = 0.4;
+  ASSERT_EQ(calibrate().exit_code, 0);
+  ASSERT_EQ(replay_calibrated().exit_code, 0);
+  const double clean_m = evaluate()["ate_m"]["mean"];
+  const std::filesystem::path clean = folder_ / "clean.yaml";
+  std::filesystem::rename(calibration_, clean);
+  io::Dataset data = test::make_small_run(kDrive_s, 1);
+  for (model::RangeSample& range : data.ranges) range.t_s += kLate_s;
+  io::write_dataset(data_, data);
+  const std::string given = read_text(data_ / "ranges.csv");
+
+  const ChildResult fixed = calibrate({"--fix", "--json"});
+  EXPECT_EQ(fixed.exit_code, 3) << fixed.err;
+  EXPECT_THAT(fixed.err, AllOf(HasSubstr("clock-offset: "), HasSubstr("--fix: the times of the ranges")));
+  const json diagnosis = json::parse(fixed.out)["diagnosis"];
+  ASSERT_EQ(diagnosis.size(), 1U);
+  EXPECT_NEAR(diagnosis[0]["value"], kLate_s, 0.02);
+  const auto clock = io::read_calibration(calibration_).range_clock;
+  ASSERT_TRUE(clock.has_value());
+  EXPECT_NEAR(clock->offset_s, kLate_s, 0.02);
+  EXPECT_EQ(read_text(data_ / "ranges.csv"), given);
+  const ChildResult replayed = replay_calibrated({"--json"});
+  EXPECT_EQ(replayed.exit_code, 0) << replayed.err;
+  EXPECT_EQ(json::parse(replayed.out)["diagnosis"], json::array());
+  EXPECT_LT(evaluate()["ate_m"]["mean"], 1.2 * clean_m);
+
+  const ChildResult smoothed =
+      groma({"smooth", data_, "--calibration", clean, "--fix", "--json", "-o", estimate_});
+  EXPECT_EQ(smoothed.exit_code, 3) << smoothed.err;
+  EXPECT_EQ(json::parse(smoothed.out)["diagnosis"][0]["cause"], "clock-offset");
+  EXPECT_LT(evaluate()["ate_m"]["mean"], 1.2 * clean_m);
+  EXPECT_EQ(read_text(data_ / "ranges.csv"), given);
+}
+
+// The start is after all odometry, because its times are in milliseconds.
+TEST_F(CliTest, PrintsTheDiagnosisWhereItEndsWithoutAResult) {
+  ASSERT_EQ(calibrate().exit_code, 0);
+  io::Dataset data = test::make_small_run(kDrive_s, 1);
+  for (model::PoseSample& pose : data.pose_prior) pose.t_s = 1e3 * (pose.t_s + 1.0);
+  io::write_dataset(data_, data);
+  for (const char* command : {"replay", "smooth"}) {
+    const ChildResult result =
+        groma({command, data_, "--calibration", calibration_, "--json", "-o", estimate_});
+    EXPECT_EQ(result.exit_code, 65) << result.err;
+    const json summary = json::parse(result.out);
+    ASSERT_FALSE(summary["diagnosis"].empty()) << command;
+    EXPECT_EQ(summary["diagnosis"][0]["cause"], "time-unit");
+  }
 }
 
 TEST_F(CliTest, ExplainReportsANlosPair) {

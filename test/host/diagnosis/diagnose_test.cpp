@@ -1,6 +1,7 @@
 // The diagnosis names each mistake in a small drive, with its size, and nothing in a good one.
 #include "host/diagnosis/diagnose.hpp"
 
+#include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -60,6 +61,23 @@ std::vector<std::string> causes_of(const std::vector<Finding>& findings) {
   return out;
 }
 
+void expect_size(const Finding& finding, const test::MistakeMade& made) {
+  ASSERT_EQ(finding.value.size(), made.value.size());
+  for (std::size_t i = 0; i < finding.value.size(); ++i) {
+    const double sigma = finding.sigma.empty() ? 1e-3 * std::abs(made.value[i]) : finding.sigma[i];
+    EXPECT_NEAR(finding.value[i], made.value[i], 4.0 * sigma);
+  }
+}
+
+// Of a test, for its name.
+std::string name_of(const testing::TestParamInfo<test::MistakeMade>& made) {
+  std::string name = fmt::format("{}_{}_{}", made.index, made.param.cause, made.param.name);
+  std::erase_if(name, [](char c) { return c == '\''; });
+  std::replace_if(
+      name.begin(), name.end(), [](char c) { return c == ' ' || c == '-'; }, '_');
+  return name;
+}
+
 class DiagnoseTest : public testing::TestWithParam<test::MistakeMade> {};
 
 TEST_P(DiagnoseTest, NamesTheMistakeAndItsSizeAndNothingElse) {
@@ -70,31 +88,21 @@ TEST_P(DiagnoseTest, NamesTheMistakeAndItsSizeAndNothingElse) {
   const Finding& finding = findings.front();
   EXPECT_FALSE(finding.evidence.empty());
   EXPECT_FALSE(finding.remedy.empty());
-  ASSERT_EQ(finding.value.size(), GetParam().value.size());
-  for (std::size_t i = 0; i < finding.value.size(); ++i) {
-    const double sigma = finding.sigma.empty() ? 1e-3 * std::abs(GetParam().value[i]) : finding.sigma[i];
-    EXPECT_NEAR(finding.value[i], GetParam().value[i], 4.0 * sigma);
-  }
+  expect_size(finding, GetParam());
 }
 
-INSTANTIATE_TEST_SUITE_P(Mistakes, DiagnoseTest,
-                         testing::Values(test::clock_offset(0.25), test::pose_clock_offset(-0.25),
-                                         test::odometry_clock_offset(0.25), test::clock_drift(0.01),
-                                         test::time_overlap(), test::time_unit(1e3), test::length_unit(1e3),
-                                         test::angle_unit(), test::heading_offset(1.5708),
-                                         test::heading_sign(), test::lateral_sign(), test::yaw_rate_sign(),
-                                         test::yaw_rate_scale(1.1), test::odometry_scale(0.9),
-                                         test::swapped_tags(), test::lever_arm({0.5, 0.0, 0.0}),
-                                         test::surface_height(0.5), test::odometry_of_another_drive(),
-                                         test::unknown_tag(), test::unknown_anchor(),
-                                         test::renumbered_anchors(), test::another_site()),
-                         [](const auto& made) {
-                           std::string name = made.param.cause + "_" + made.param.name;
-                           std::erase_if(name, [](char c) { return c == '\''; });
-                           std::replace_if(
-                               name.begin(), name.end(), [](char c) { return c == ' ' || c == '-'; }, '_');
-                           return name;
-                         });
+INSTANTIATE_TEST_SUITE_P(
+    Mistakes, DiagnoseTest,
+    testing::Values(test::clock_offset(0.25), test::pose_clock_offset(-0.25),
+                    test::odometry_clock_offset(0.25), test::clock_drift(0.01), test::time_overlap(),
+                    test::time_unit(1e3), test::all_times_unit(1e3), test::all_times_unit(1e9),
+                    test::length_unit(1e3), test::odometry_length_unit(1e3), test::angle_unit(),
+                    test::heading_offset(1.5708), test::heading_sign(), test::lateral_sign(),
+                    test::yaw_rate_sign(), test::yaw_rate_scale(1.1), test::odometry_scale(0.9),
+                    test::swapped_tags(), test::lever_arm({0.5, 0.0, 0.0}), test::surface_height(0.5),
+                    test::odometry_of_another_drive(), test::unknown_tag(), test::unknown_anchor(),
+                    test::renumbered_anchors(), test::another_site()),
+    name_of);
 
 TEST(Diagnose, NamesNothingInAGoodDrive) {
   for (const std::uint64_t seed : {1U, 2U}) {
@@ -144,24 +152,24 @@ class DiagnoseWithCalibrationTest : public testing::TestWithParam<test::MistakeM
 
 TEST_P(DiagnoseWithCalibrationTest, NamesTheMistakeWithoutPoses) {
   Data data = small_drive(7, kLonger_s);
-  const model::Calibration calibration = surveyed(data);
   GetParam().make(data);
+  const model::Calibration calibration = surveyed(data);
   data.poses.clear();
   const std::vector<Finding> findings = diagnose(std::move(data), calibration);
   ASSERT_THAT(causes_of(findings), testing::ElementsAre(GetParam().cause));
-  for (std::size_t i = 0; i < findings.front().value.size(); ++i) {
-    EXPECT_NEAR(findings.front().value[i], GetParam().value[i], 4.0 * findings.front().sigma[i]);
-  }
+  expect_size(findings.front(), GetParam());
 }
 
 INSTANTIATE_TEST_SUITE_P(Mistakes, DiagnoseWithCalibrationTest,
                          testing::Values(test::clock_offset(0.25), test::yaw_rate_sign(),
-                                         test::swapped_tags(), test::tags_too_high(0.5)),
-                         [](const auto& made) {
-                           std::string name = made.param.cause;
-                           std::replace(name.begin(), name.end(), '-', '_');
-                           return name;
-                         });
+                                         test::swapped_tags(), test::tags_too_high(0.5),
+                                         test::all_times_unit(1e6), test::length_unit(1e3),
+                                         test::length_unit(1.0 / 0.3048), test::odometry_length_unit(1e3),
+                                         test::odometry_length_unit(1.0 / 0.3048), test::yaw_rate_unit(),
+                                         test::unknown_tag(), test::unknown_anchor(),
+                                         test::renumbered_anchors(), test::all_anchors_renumbered(),
+                                         test::another_site()),
+                         name_of);
 
 TEST(Diagnose, WithACalibrationNamesNothingInAGoodDrive) {
   Data data = small_drive(8, kLonger_s);

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <functional>
+#include <map>
 #include <numbers>
 #include <string>
 #include <utility>
@@ -56,6 +57,16 @@ inline MistakeMade time_unit(double factor) {
           "time-unit",
           [=](diagnosis::Data& data) {
             for (model::RangeSample& range : data.ranges) range.t_s *= factor;
+          },
+          {factor}};
+}
+inline MistakeMade all_times_unit(double factor) {
+  return {"times of all tables",
+          "time-unit",
+          [=](diagnosis::Data& data) {
+            for (model::RangeSample& range : data.ranges) range.t_s *= factor;
+            for (model::OdometrySample& sample : data.odometry) sample.t_s *= factor;
+            for (model::PoseSample& pose : data.poses) pose.t_s *= factor;
           },
           {factor}};
 }
@@ -166,14 +177,51 @@ inline MistakeMade odometry_of_another_drive() {
             }
           }};
 }
+// Of the first and the third, as the ranges have them.
 inline MistakeMade renumbered_anchors() {
-  return {"two anchors' ids exchanged", "renumbered-anchors",
-          [](diagnosis::Data& data) { std::swap(data.anchors[0].position_m, data.anchors[2].position_m); }};
+  return {"two anchors' ids exchanged", "renumbered-anchors", [](diagnosis::Data& data) {
+            const model::NodeId a = data.anchors[0].id;
+            const model::NodeId b = data.anchors[2].id;
+            for (model::RangeSample& range : data.ranges) {
+              if (range.anchor_id == a || range.anchor_id == b)
+                range.anchor_id = static_cast<model::NodeId>(a + b - range.anchor_id);
+            }
+          }};
 }
+inline MistakeMade all_anchors_renumbered() {
+  return {"all anchors' ids in another order", "renumbered-anchors", [](diagnosis::Data& data) {
+            std::map<model::NodeId, model::NodeId> next;
+            for (std::size_t i = 0; i < data.anchors.size(); ++i)
+              next[data.anchors[i].id] = data.anchors[(i + 1) % data.anchors.size()].id;
+            for (model::RangeSample& range : data.ranges) range.anchor_id = next.at(range.anchor_id);
+          }};
+}
+inline MistakeMade odometry_length_unit(double factor) {
+  return {"unit of speeds",
+          "length-unit",
+          [=](diagnosis::Data& data) {
+            for (model::OdometrySample& sample : data.odometry) {
+              sample.vx_mps *= factor;
+              sample.vy_mps *= factor;
+            }
+          },
+          {factor}};
+}
+inline MistakeMade yaw_rate_unit() {
+  constexpr double kDegrees = 180.0 / std::numbers::pi;
+  return {"yaw rate in degrees",
+          "angle-unit",
+          [](diagnosis::Data& data) {
+            for (model::OdometrySample& sample : data.odometry) sample.omega_radps *= kDegrees;
+          },
+          {kDegrees}};
+}
+// No turn and shift makes it the right one.
 inline MistakeMade another_site() {
   return {"anchors of another site", "map-mismatch", [](diagnosis::Data& data) {
             for (model::Anchor& anchor : data.anchors) {
-              anchor.position_m.head<2>() = -anchor.position_m.head<2>() + Eigen::Vector2d(30.0, 11.0);
+              anchor.position_m.head<2>() =
+                  Eigen::Vector2d(30.0 - 1.6 * anchor.position_m.x(), 11.0 + 0.7 * anchor.position_m.y());
             }
           }};
 }
