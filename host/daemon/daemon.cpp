@@ -4,6 +4,7 @@
 #include <sys/signalfd.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <chrono>
 #include <csignal>
 #include <filesystem>
@@ -72,7 +73,9 @@ Daemon::Daemon(Config config, std::optional<model::Calibration> calibration, Log
       pipeline_(
           config_, log_, [this](const PoseEstimate& pose) { publish(pose); },
           [this](const PoseEstimate& pose) { calibrator_->on_settled(pose); }),
+      mistakes_({.priors = config_.range, .surface = config_.surface, .learns = config_.calibration.learn}),
       known_(std::move(calibration)) {
+  pipeline_.session().attach(mistakes_);
   for (std::size_t node = 0; node < config_.nodes.size(); ++node) add_node(node);
   add_robots();
   if (config_.last_pose) last_pose_ = std::make_unique<LastPoseFile>(*config_.last_pose, log_);
@@ -211,6 +214,7 @@ void Daemon::tick() {
   pipeline_.advance(arrival_s_);
   record();
   if (auto calibration = calibrator_->service(arrival_s_)) adopt(*std::move(calibration));
+  mistakes_.service(arrival_s_);
   if (calibrator_->failed()) loop_.stop();
 }
 
@@ -221,6 +225,7 @@ void Daemon::adopt(model::Calibration calibration) {
   } else if (last_pose_) {
     last_pose_->use(calibration);
   }
+  mistakes_.use(calibration, config_.tags);
   pipeline_.adopt(std::move(calibration), start);
 }
 
@@ -234,6 +239,7 @@ void Daemon::publish(const PoseEstimate& pose) {
 
 void Daemon::publish_status() {
   pipeline_.log_faults();
+  for (const std::string& line : mistakes_.take_news()) log_(line);
   pose_server_->log_events(log_);
   publish_line(status_line(status()));
   if (const AnchorLearner* learner = calibrator_->learner()) {
@@ -244,6 +250,12 @@ void Daemon::publish_status() {
 Status Daemon::status() const {
   Status status = pipeline_.status(loop_.now_s());
   if (calibrator_->solving()) status.state = "CALIBRATING";
+  for (const diagnosis::Finding& finding : mistakes_.findings()) {
+    const bool is_known =
+        std::any_of(status.diagnosis.begin(), status.diagnosis.end(),
+                    [&](const diagnosis::Finding& other) { return other.cause == finding.cause; });
+    if (!is_known) status.diagnosis.push_back(finding);
+  }
   status.pose_latency_p50_s = pose_latency_.quantile_s(0.5);
   status.pose_latency_p99_s = pose_latency_.quantile_s(0.99);
   for (std::size_t i = config_.nodes.size(); i < inputs_.size(); ++i)

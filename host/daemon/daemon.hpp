@@ -18,6 +18,7 @@
 #include "host/daemon/link_input.hpp"
 #include "host/daemon/log_recorder.hpp"
 #include "host/daemon/metrics_text.hpp"
+#include "host/daemon/mistake_watch.hpp"
 #include "host/daemon/output.hpp"
 #include "host/daemon/pipeline.hpp"
 #include "host/daemon/pose_message.hpp"
@@ -86,6 +87,7 @@ class Daemon {
   Log log_;
   EventLoop loop_;
   Pipeline pipeline_;
+  MistakeWatch mistakes_;
   std::vector<std::unique_ptr<LinkInput>> inputs_;  // the nodes in their order, then the robot's
   std::vector<std::unique_ptr<Output>> outputs_;
   PoseServer* pose_server_ = nullptr;  // one of them

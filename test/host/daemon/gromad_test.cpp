@@ -8,6 +8,7 @@
 #include <algorithm>
 #include <array>
 #include <chrono>
+#include <filesystem>
 #include <functional>
 #include <map>
 #include <optional>
@@ -183,6 +184,58 @@ TEST_F(GromadTest, NamesAWrongMapInPosesStatusAndLog) {
   ASSERT_TRUE(run_until(site, gromad, [&] { return poses_by_mismatch(true) >= 50; })) << gromad.log();
   EXPECT_EQ(poses_by_mismatch(false), 0);
   EXPECT_EQ(poses("TRACKING"), 0U);
+}
+
+// As `groma calibrate --fix` stores it. The robot moves at 1 m/s.
+TEST_F(GromadTest, CorrectsTheClockOfRangesByItsCalibration) {
+  constexpr double kLate_s = 0.6;
+  for (const bool is_stored : {false, true}) {
+    SimulatedSite site(folder_.path(), kSpeed);
+    site.ranges_late_s = kLate_s;
+    write_surveyed(site, false,
+                   is_stored ? std::optional(model::ClockError{.offset_s = kLate_s}) : std::nullopt);
+    objects_.clear();
+    client_.reset();
+    Gromad gromad(
+        {"--config", folder_.write("gromad.yaml", config_text("{file: calibration.yaml}")).string()});
+    ASSERT_TRUE(run_until(site, gromad, [&] { return objects_.size() >= 700; })) << gromad.log();
+    if (is_stored) {
+      EXPECT_LT(largest_error_m(300), 0.2);
+      EXPECT_GT(poses("TRACKING"), 300U);
+      EXPECT_THAT(gromad.log(), HasSubstr("corrects the times of ranges by -0.600 s"));
+    } else {
+      EXPECT_GT(largest_error_m(300), 0.4);
+    }
+    std::filesystem::remove(folder_ / "robot.sock");
+  }
+}
+
+// As groma replay does, from the last two minutes.
+TEST_F(GromadTest, NamesAMistakeOfTheOdometryInStatusAndLog) {
+  constexpr double kFast = 8.0;
+  SimulatedSite site(folder_.path(), kFast);
+  site.on_lines = [](double t_s, const std::string& lines) {
+    const std::string odometry =
+        fmt::format("{{\"class\":\"ODOMETRY\",\"t_s\":{},\"vx_mps\":{},\"vy_mps\":0,\"omega_radps\":{}}}\n",
+                    t_s, 1.2 * SimulatedSite::kRadius_m * SimulatedSite::kOmega, SimulatedSite::kOmega);
+    return odometry + lines.substr(lines.find('\n') + 1);
+  };
+  write_surveyed(site);
+  Gromad gromad(
+      {"--config", folder_.write("gromad.yaml", config_text("{file: calibration.yaml}", kFast)).string()});
+  const auto finding = [&] {
+    for (const json& object : objects_) {
+      if (object.at("class") != "STATUS") continue;
+      for (const json& each : object.at("diagnosis"))
+        if (each.at("cause") == "odometry-scale") return each;
+    }
+    return json();
+  };
+  const auto is_named = [&] { return !finding().is_null(); };
+  // Two searches take their time on a busy machine.
+  ASSERT_TRUE(run_until(site, gromad, is_named) || run_until(site, gromad, is_named)) << gromad.log();
+  EXPECT_NEAR(finding().at("value"), 1.2, 0.05);
+  EXPECT_THAT(gromad.log(), HasSubstr("odometry-scale: the odometry moves"));
 }
 
 // A pose does not wait for reorder_lag_s as its odometry sample does. The lag is long so that the test also
