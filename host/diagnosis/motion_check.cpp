@@ -223,6 +223,11 @@ bool shows_exchange(const Constellation& seen) {
 
 // What the anchors' places show that no hypothesis explains.
 std::vector<Finding> find_mismatch(const Data& data, const model::Calibration& calibration) {
+  // Where dead reckoning fits the calibration in windows, the map is right.
+  constexpr std::size_t kRows = 1500;
+  constexpr double kFitSigmas = 3.0;  // by hand
+  const WindowScene scene(data, calibration, kRows);
+  if (!scene.rows().empty() && fit_ranges(scene, {}).scale_m < kFitSigmas * data.priors.sigma_m) return {};
   const auto seen = compare_constellation(data, calibration);
   if (!seen || 2 * seen->own > seen->anchors) return {};
   if (seen->own_mirrored > seen->own + 1 && seen->own_mirrored + 1 >= seen->anchors)
