@@ -169,19 +169,15 @@ struct Sighting {
 
 class Smoother {
  public:
-  Smoother(const filter::Run& run, const filter::ReplayOptions& options, const std::vector<Held>& held)
+  Smoother(const filter::Run& run, const filter::ReplayOptions& options, std::vector<Held> rows)
       : surface_(*run.surface),
         config_(options.config),
         start_(options.start),
         tags_(run.tags.begin(), run.tags.end()),
+        rows_(std::move(rows)),
         shared_(tags_, *run.calibration, config_),
         patterns_m_(tags_.size(), model::PatternTerms::Zero()),
         unknowns_(Eigen::VectorXd::Zero(shared_.mean.size())) {
-    for (const Held& row : held) {
-      rows_.push_back(row.sample);
-      variances_.push_back(row.variances);
-      stale_s_.push_back(row.stale_s);
-    }
     if (run.calibration->range_noise) {
       bias_sigma_m_ = run.calibration->range_noise->bias_sigma_m * config_.range_bias_growth;
       bias_time_s_ = run.calibration->range_noise->bias_time_s * config_.range_bias_time_growth;
@@ -199,7 +195,7 @@ class Smoother {
     states_.assign(rows_.size(), Eigen::Vector3d::Zero());
     // The sample before the start, if any, gets the start's pose.
     std::size_t k = 0;
-    while (k < rows_.size() && rows_[k].t_s < first.front().t_s) ++k;
+    while (k < rows_.size() && rows_[k].sample.t_s < first.front().t_s) ++k;
     for (std::size_t i = k; i < rows_.size(); ++i) {
       const model::PlanarEstimate& row = first[i - k];
       states_[i] << row.x_m, row.y_m, row.yaw_rad;
@@ -258,7 +254,7 @@ class Smoother {
     const std::vector<Eigen::MatrixXd> covariances =
         problem.covariances({Shared::kScale, Shared::kYawBias, Shared::kDelay});
     for (std::size_t k = 0; k < rows_.size(); ++k) {
-      if (rows_[k].t_s >= start_.t_s) result.rows.push_back(present(k, values, covariances[k]));
+      if (rows_[k].sample.t_s >= start_.t_s) result.rows.push_back(present(k, values, covariances[k]));
     }
     return result;
   }
@@ -279,10 +275,10 @@ class Smoother {
       from(at, kPose + i) = shared_.root(i, i);
     }
     const filter::PresentPose now =
-        filter::present_pose(surface_, core, rows_[k], shared_.delays, charts_[k]);
+        filter::present_pose(surface_, core, rows_[k].sample, shared_.delays, charts_[k]);
     const Eigen::MatrixXd by = now.d_core * from;
     const Eigen::Matrix3d moved = by * covariance * by.transpose();
-    return {rows_[k].t_s, now.pose.x(), now.pose.y(), model::wrap_angle(now.pose.z()),
+    return {rows_[k].sample.t_s, now.pose.x(), now.pose.y(), model::wrap_angle(now.pose.z()),
             0.5 * (moved + moved.transpose()) + now.noise};
   }
 
@@ -305,8 +301,8 @@ class Smoother {
 
   [[nodiscard]] Prediction predict(const Sighting& sighting, const Eigen::VectorXd& values) const {
     Prediction out;
-    const double row_s = rows_[sighting.row + 1].t_s - rows_[sighting.row].t_s;
-    out.share = (sighting.range->t_s - values(Shared::kDelay) - rows_[sighting.row].t_s) / row_s;
+    const double row_s = rows_[sighting.row + 1].sample.t_s - rows_[sighting.row].sample.t_s;
+    out.share = (sighting.range->t_s - values(Shared::kDelay) - rows_[sighting.row].sample.t_s) / row_s;
     const Eigen::Vector3d pose = pose_between(sighting.row, out.share);
     const auto tags = static_cast<Eigen::Index>(tags_.size());
     const Anchor& anchor = *sighting.anchor;
@@ -335,9 +331,9 @@ class Smoother {
     const double delay_s = shared_values()(Shared::kDelay);
     for (Sighting& sighting : sightings_) {
       const double t_s = sighting.range->t_s - delay_s;
-      const auto after = std::upper_bound(
-          rows_.begin(), rows_.end(), t_s,
-          [](double instant_s, const model::OdometrySample& row) { return instant_s < row.t_s; });
+      const auto after =
+          std::upper_bound(rows_.begin(), rows_.end(), t_s,
+                           [](double instant_s, const Held& row) { return instant_s < row.sample.t_s; });
       const auto next =
           std::clamp<std::ptrdiff_t>(after - rows_.begin(), 1, static_cast<std::ptrdiff_t>(rows_.size()) - 1);
       sighting.row = static_cast<std::size_t>(next - 1);
@@ -380,8 +376,8 @@ class Smoother {
   }
 
   void add_start(ChainProblem& problem) const {
-    const double row_s = rows_[1].t_s - rows_[0].t_s;
-    const double share = (start_.t_s - rows_[0].t_s) / row_s;
+    const double row_s = rows_[1].sample.t_s - rows_[0].sample.t_s;
+    const double share = (start_.t_s - rows_[0].sample.t_s) / row_s;
     const Eigen::Vector3d pose = pose_between(0, share);
     ChainProblem::Term term(kPose, kPose, 0);
     term.by_first = (1.0 - share) * Eigen::Matrix3d::Identity();
@@ -401,23 +397,24 @@ class Smoother {
     core.head<kPose>() = states_[k];
     core(filter::kScale) = values(Shared::kScale);
     core(filter::kYawBias) = values(Shared::kYawBias);
-    const double row_s = rows_[k + 1].t_s - rows_[k].t_s;
+    const double row_s = rows_[k + 1].sample.t_s - rows_[k].sample.t_s;
     // The filter's steps.
     const double steps = std::clamp(std::ceil(row_s / filter::kMaxStep_s), 1.0, 400.0);
     Eigen::Matrix<double, filter::kCoreSize, filter::kCoreSize> by_core;
     by_core.setIdentity();
     for (int i = 0; i < static_cast<int>(steps); ++i) {
-      const filter::Motion motion = filter::move(surface_, core, rows_[k], row_s / steps, charts_[k]);
+      const filter::Motion motion = filter::move(surface_, core, rows_[k].sample, row_s / steps, charts_[k]);
       core.head<kPose>() = motion.pose;
       const Eigen::Matrix<double, 3, filter::kCoreSize> rows = motion.d_core * by_core;
       by_core.topRows<3>() = rows;
     }
-    Eigen::Vector3d variances = variances_[k];
+    Eigen::Vector3d variances = rows_[k].variances;
     // Velocity random walk after max_hold_s, as a constant velocity error with the same position variance.
     const double overdue_s = std::max(row_s - config_.max_hold_s, 0.0);
     double walk = overdue_s * overdue_s * overdue_s / (3.0 * row_s * row_s);
     // The same where implausible samples were dropped: a random walk since the last accepted sample.
-    if (stale_s_[k] > 0.0) walk += (stale_s_[k] * (stale_s_[k] - row_s) + square(row_s) / 3.0) / row_s;
+    if (rows_[k].stale_s > 0.0)
+      walk += (rows_[k].stale_s * (rows_[k].stale_s - row_s) + square(row_s) / 3.0) / row_s;
     variances += walk * Eigen::Vector3d(square(config_.hold_walk_mps), square(config_.hold_walk_mps),
                                         square(config_.hold_walk_radps));
     const Eigen::Matrix3d by_noise = by_core.block<3, 3>(0, filter::kOdometryVx);
@@ -479,9 +476,7 @@ class Smoother {
   filter::Config config_;
   filter::Start start_;
   std::vector<model::Tag> tags_;
-  std::vector<model::OdometrySample> rows_;
-  std::vector<Eigen::Vector3d> variances_;
-  std::vector<double> stale_s_;
+  std::vector<Held> rows_;
   Shared shared_;
   std::vector<model::PatternTerms> patterns_m_;
   double bias_sigma_m_ = 0.0;  // of a pair's slow bias, before tuning
@@ -543,7 +538,7 @@ Result smooth(const filter::Run& run, const filter::ReplayOptions& options) {
   };
   const filter::ReplayResult beginning = filter::replay(once, first);
   if (beginning.rows.empty() || rows.size() < 2) return {};
-  Smoother smoother(run, options, rows);
+  Smoother smoother(run, options, std::move(rows));
   smoother.begin(beginning);
   for (const Weighed& range : weighed) smoother.take(range);
   Result result = smoother.solve();

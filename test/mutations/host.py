@@ -521,7 +521,7 @@ MUTATIONS = [
     ("smoother: NLOS ranges weigh as much as others", "host/smoother/smoother.cpp",
      "term.information(0, 0) = sighting.weight / variance_m2;",
      "term.information(0, 0) = 1.0 / variance_m2;",
-     "smoother_test:Smoother/Smoothing.GivesNlosRangesLittleWeight/schmidt"),
+     "smoother_test:Smoother/Smoothing.RangesThatMayBeNlosCountForLess/schmidt"),
     ("mcap: the size that a chunk states is believed", "host/mcap/reader.cpp",
      "return size <= kMaxUncompressedBytes && size <= kSmallBytes + kMaxRatio * compressed_size;",
      "return true;",

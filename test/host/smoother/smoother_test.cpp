@@ -104,6 +104,28 @@ TEST_P(Smoothing, GivesNlosRangesLittleWeight) {
   }
 }
 
+// Ranges that are too long by less than the gate refuses, so that their weights are between 0 and 1.
+TEST_P(Smoothing, RangesThatMayBeNlosCountForLess) {
+  const model::Surface flat;
+  const model::Calibration calibration = site::six_anchors(0.1);
+  Random random(37);
+  site::Drive drive = site::drive(flat, calibration, kStart, {.duration_s = 12.0, .range_s = 0.02}, random);
+  for (model::RangeSample& range : drive.ranges) {
+    if (range.anchor_id <= 12) range.range_m += 0.25;
+  }
+  const auto tags = site::three_tags();
+  const auto mean_error_m = [&](double nlos_prior) {
+    filter::ReplayOptions options = options_of(GetParam());
+    options.config.gate.nlos_prior = nlos_prior;
+    const Result result = smooth({drive.odometry, drive.ranges, tags, &flat, &calibration}, options);
+    double sum_m = 0.0;
+    for (std::size_t row = 0; row < result.rows.size(); ++row)
+      sum_m += std::sqrt(score(result.rows[row], drive.truth[row]).square_m2);
+    return sum_m / static_cast<double>(result.rows.size());
+  };
+  EXPECT_LT(mean_error_m(0.3), 0.8 * mean_error_m(0.0));
+}
+
 TEST_P(Smoothing, EstimatesDelaysOfOdometryAndRangesSeparately) {
   const model::Surface flat;
   model::Calibration calibration = site::six_anchors(0.1);
