@@ -133,10 +133,9 @@ void MistakeWatch::service(double now_s) {
   search_ = std::async(std::launch::async, [data = data(), calibration = *calibration_]() mutable {
     // On Linux this sets the priority of the calling thread only.
     ::setpriority(PRIO_PROCESS, static_cast<id_t>(::gettid()), kSearchNiceness);
-    std::stable_sort(data.ranges.begin(), data.ranges.end(),
-                     [](const auto& a, const auto& b) { return a.t_s < b.t_s; });
-    std::stable_sort(data.odometry.begin(), data.odometry.end(),
-                     [](const auto& a, const auto& b) { return a.t_s < b.t_s; });
+    const auto by_time = [](const auto& a, const auto& b) { return a.t_s < b.t_s; };
+    std::stable_sort(data.ranges.begin(), data.ranges.end(), by_time);
+    std::stable_sort(data.odometry.begin(), data.odometry.end(), by_time);
     Search search{.findings = diagnosis::diagnose(std::move(data), calibration), .took_s = 0.0};
     search.took_s = thread_time_s();
     return search;

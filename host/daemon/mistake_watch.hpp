@@ -1,7 +1,7 @@
 // Looks for mistakes in what gromad receives: every now and then, as `groma replay` does with a recorded
 // drive, in the last two minutes of odometry and ranges.
 //
-//   MistakeWatch watch({.tags = ..., .priors = ..., .surface = ...});
+//   MistakeWatch watch({.priors = ..., .surface = ...});
 //   session.attach(watch);
 //   watch.use(calibration, tags);
 //   watch.service(now_s);  // on each tick

@@ -126,9 +126,9 @@ inline MistakeMade yaw_rate_scale(double factor) {
           },
           {factor}};
 }
-inline MistakeMade odometry_scale(double factor) {
-  return {"speed scaled",
-          "odometry-scale",
+inline MistakeMade speeds_times(double factor, const char* name, const char* cause) {
+  return {name,
+          cause,
           [=](diagnosis::Data& data) {
             for (model::OdometrySample& sample : data.odometry) {
               sample.vx_mps *= factor;
@@ -136,6 +136,9 @@ inline MistakeMade odometry_scale(double factor) {
             }
           },
           {factor}};
+}
+inline MistakeMade odometry_scale(double factor) {
+  return speeds_times(factor, "speed scaled", "odometry-scale");
 }
 inline MistakeMade swapped_tags() {
   return {.name = "first two tags swapped", .cause = "swapped-tags", .make = [](diagnosis::Data& data) {
@@ -197,15 +200,7 @@ inline MistakeMade all_anchors_renumbered() {
           }};
 }
 inline MistakeMade odometry_length_unit(double factor) {
-  return {"unit of speeds",
-          "length-unit",
-          [=](diagnosis::Data& data) {
-            for (model::OdometrySample& sample : data.odometry) {
-              sample.vx_mps *= factor;
-              sample.vy_mps *= factor;
-            }
-          },
-          {factor}};
+  return speeds_times(factor, "unit of speeds", "length-unit");
 }
 inline MistakeMade yaw_rate_unit() {
   constexpr double kDegrees = 180.0 / std::numbers::pi;
