@@ -205,6 +205,7 @@ Hypothesis renumbered(const std::map<model::NodeId, model::NodeId>& exchanged) {
     }
   };
   std::vector<model::NodeId> ids;
+  ids.reserve(exchanged.size());
   for (const auto& [id, other] : exchanged) ids.push_back(id);
   out.name = [ids](const RangeFit&) {
     return Finding{
