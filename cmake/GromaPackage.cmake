@@ -80,7 +80,7 @@ string(
   "libgcc-s1 (>= 3.0)"
   "liblz4-1 (>= 0.0~r127)"
   "libserialport0"
-  "libsqlite3-0 (>= 3.5.9)"
+  "libsqlite3-0 (>= 3.6.1)"
   "libssl3 (>= 3.0.0)"
   "libstdc++6 (>= 12)"
   "libunicorn2 (>= 2.0.1.post1)"
