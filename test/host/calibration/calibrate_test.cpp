@@ -3,7 +3,9 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
+#include <cstddef>
 #include <limits>
 #include <vector>
 
@@ -32,6 +34,25 @@ TEST(Calibrate, ReportsTheCommonFramesCovariance) {
   EXPECT_EQ(frame.llt().info(), Eigen::Success);
   EXPECT_GT(std::sqrt(frame(2, 2)), 0.001);
   EXPECT_LT(std::sqrt(frame(3, 3)), 0.02);
+}
+
+// Such as the poses of a planar SLAM, whose z is 0 on a ramp too, or a configured plane on sloping ground.
+TEST(Calibrate, TakesTheHeightsThatExplainTheRanges) {
+  const auto largest_error_m = [](const test::SimulatedSite& site) {
+    const model::Calibration found = calibrate(site.drive()).calibration;
+    double largest_m = 0.0;
+    for (std::size_t a = 0; a < site.anchors.size(); ++a) {
+      largest_m = std::max(largest_m, (found.anchors[a].position_m - site.anchors[a].position_m).norm());
+    }
+    return largest_m;
+  };
+  test::SimulatedSite wrong_poses = test::simulate_site({}, 12);
+  test::SimulatedSite wrong_surface = wrong_poses;
+  for (model::PoseSample& pose : wrong_poses.poses) pose.z_m += 0.1 * (pose.x_m - 11.0);
+  for (model::PoseSample& pose : wrong_surface.poses) pose.roll_rad = pose.pitch_rad = 0.0;
+  wrong_surface.floor = model::Surface(model::Plane(0.0, Eigen::Vector3d(-0.1, 0.0, 1.0)));
+  EXPECT_LT(largest_error_m(wrong_poses), 0.15);
+  EXPECT_LT(largest_error_m(wrong_surface), 0.15);
 }
 
 // Poses that are poor for a quarter of the drive and, on demand, report their covariance.
