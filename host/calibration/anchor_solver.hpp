@@ -211,7 +211,8 @@ struct RowAt {
   out.noise_share = noise_share(kernel, variance_m2);
   out.value = value_of(fit.problem, row.index, stretched(kernel, out.noise_share, out.residual_m),
                        out.residual_m, fit.anchor, variance_m2);
-  out.j << -out.predicted.scale * out.predicted.direction, out.predicted.d_terms;
+  out.j.head<3>() = -out.predicted.scale * out.predicted.direction;
+  out.j.tail<model::kPairSize - 3>() = out.predicted.d_terms;
   return out;
 }
 
@@ -260,15 +261,25 @@ class RowColumns {
       next.push_back(size);
       size += blocks(tag) * kLanes;
     }
-    columns_.setZero(size, kSpread + 3);
-    columns_.col(kRange).setConstant(std::numeric_limits<double>::quiet_NaN());
+    columns_.resize(size, kSpread + 3);
     index_.resize(static_cast<std::size_t>(size));
     for (const Observation& row : rows) {
       const Eigen::Index at = next[row.tag]++;
-      columns_.row(at) << row.tag_m.transpose().array(), row.range_m,
-          row.pose_spread_m2.transpose().cast<double>().array();
+      for (Eigen::Index axis = 0; axis < 3; ++axis) columns_(at, kAntenna + axis) = row.tag_m(axis);
+      columns_(at, kRange) = row.range_m;
       index_[static_cast<std::size_t>(at)] = row.index;
-      has_spread_ = has_spread_ || !row.pose_spread_m2.isZero(0.0F);
+      if (row.pose_spread_m2.isZero(0.0F)) continue;
+      if (!has_spread_) columns_.rightCols<3>().setZero();
+      has_spread_ = true;
+      for (Eigen::Index term = 0; term < 3; ++term)
+        columns_(at, kSpread + term) = static_cast<double>(row.pose_spread_m2(term));
+    }
+    // The lanes beyond the last row.
+    for (std::size_t tag = 0; tag < tag_count; ++tag) {
+      for (Eigen::Index at = next[tag]; at < tags_[tag].first + blocks(tag) * kLanes; ++at) {
+        columns_.row(at).setZero();
+        columns_(at, kRange) = std::numeric_limits<double>::quiet_NaN();
+      }
     }
   }
 

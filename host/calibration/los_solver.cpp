@@ -123,12 +123,14 @@ bool long_residuals_are_correlated(const AnchorFit& fit) {
   constexpr int kNone = -1;
   std::vector<int> last(tags, kNone);
   for (const Observation& row : fit.problem.rows) {
-    const RowAt at = row_at(fit, row);
-    const double limit_m = kLong * fit.kernels[row.tag].shape().scale_m / at.noise_share;
-    const int is_long = at.residual_m > limit_m ? 1 : 0;
+    const RobustKernel& kernel = fit.kernels[row.tag];
+    const double residual_m = row.range_m - predict(row, fit.anchor, tags).range_m;
+    const double limit_m =
+        kLong * kernel.shape().scale_m / noise_share(kernel, pose_variance_m2(row, fit.anchor, tags));
+    const int is_long = residual_m > limit_m ? 1 : 0;
     rows += 1.0;
     too_long += is_long;
-    too_short += at.residual_m < -limit_m ? 1.0 : 0.0;
+    too_short += residual_m < -limit_m ? 1.0 : 0.0;
     if (last[row.tag] != kNone) {
       neighbours += 1.0;
       both += is_long * last[row.tag];
