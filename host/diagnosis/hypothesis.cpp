@@ -28,12 +28,12 @@ constexpr std::size_t kMinRows = 200;
 // Where residuals are smaller than this many configured sigmas, a clock is off by little or not at all. By
 // hand.
 constexpr double kFarSigmas = 1.5;
-// A hypothesis has to raise the log likelihood of a range by this, more than effects that good runs have: by
-// hand. Each of its parameters costs this much of it.
-constexpr double kLeastGain = 0.02;
-constexpr double kGainPerParameter = 0.003;
-// ... and in this share of the drive's slices.
-constexpr double kMinSlices = 0.65;
+// A hypothesis is named only if the mean of the slices' gains in log likelihood is this many of its standard
+// errors above zero (Vuong's test): errors within a slice may be correlated. By hand: one of fifty by chance,
+// beside kSignificance for the size.
+constexpr double kLeastGainSigmas = 2.0;
+// A drift is an offset and more, which are certain together. To tell it from an offset needs less. By hand.
+constexpr double kDriftSignificance = 3.0;
 
 constexpr double kInfinity = std::numeric_limits<double>::infinity();
 
@@ -61,16 +61,21 @@ std::string late(double offset_s) {
   return fmt::format("{:.3f} s {}", std::abs(offset_s), offset_s > 0.0 ? "late" : "early");
 }
 
-// Share of the drive's slices in which the fit is better than the other.
-double share_of_slices(const RangeFit& fit, const RangeFit& other) {
-  double better = 0.0;
-  double all = 0.0;
+// Vuong's statistic: the mean of the slices' gains over the other fit, in its standard errors.
+double gain_in_sigmas(const RangeFit& fit, const RangeFit& other) {
+  double sum = 0.0;
+  double squares = 0.0;
+  double count = 0.0;
   for (std::size_t i = 0; i < fit.slice_cost.size(); ++i) {
-    if (!std::isfinite(fit.slice_cost[i]) || !std::isfinite(other.slice_cost[i])) continue;
-    all += 1.0;
-    if (fit.slice_cost[i] < other.slice_cost[i]) better += 1.0;
+    const double gain = other.slice_cost[i] - fit.slice_cost[i];
+    if (!std::isfinite(gain)) continue;
+    sum += gain;
+    squares += gain * gain;
+    count += 1.0;
   }
-  return all > 0.0 ? better / all : 0.0;
+  if (count < 2.0) return 0.0;
+  const double variance = (squares - sum * sum / count) / (count - 1.0);
+  return sum / std::sqrt(std::max(variance * count, 1e-18));
 }
 
 // The clock offset under which a few ranges fit best, of a grid that is dense near zero. By hand: up to half
@@ -102,6 +107,7 @@ double best_offset_s(const Data& data, const MakeScene& make_scene) {
 Hypothesis clock_offset(std::optional<double> start_s, std::string_view reference) {
   const auto mistake = [](const Eigen::VectorXd& at) { return Mistake{.clock = {.offset_s = at(0)}}; };
   Hypothesis out;
+  out.resembles_odometry = true;
   out.starts = {with({0.0}, {kInfinity}, {0.005}, mistake)};
   if (start_s) out.starts.push_back(far(with({*start_s}, {kInfinity}, {0.005}, mistake)));
   out.name = [reference](const RangeFit& fit) -> std::optional<Finding> {
@@ -130,6 +136,7 @@ Hypothesis clock_drift(std::optional<double> start_s, double begin_s, double end
     return Mistake{.clock = {.offset_s = at(0), .drift = at(1), .reference_s = middle_s}};
   };
   Hypothesis out;
+  out.resembles_odometry = true;
   const auto start = [&](double offset_s, double drift) {
     return with({offset_s, drift}, {kInfinity, kInfinity}, {0.005, 1e-5}, mistake);
   };
@@ -140,7 +147,12 @@ Hypothesis clock_drift(std::optional<double> start_s, double begin_s, double end
   out.name = [=](const RangeFit& fit) -> std::optional<Finding> {
     const double drift = fit.at(1);
     const double spread_s = drift * (end_s - begin_s);
-    if (std::abs(spread_s) < kLeastDrift_s || !is_certain(fit, 1, drift)) return std::nullopt;
+    const Eigen::Vector2d both = fit.at.head<2>();
+    const Eigen::Matrix2d covariance = fit.covariance.topLeftCorner<2, 2>();
+    if (std::abs(spread_s) < kLeastDrift_s ||
+        both.dot(covariance.ldlt().solve(both)) < model::square(kSignificance) ||
+        std::abs(drift) < kDriftSignificance * std::sqrt(covariance(1, 1)))
+      return std::nullopt;
     return Finding{.cause = "clock-drift",
                    .evidence = fmt::format("the ranges' clock and the {} separate by {:.2f} s over the drive "
                                            "(ranges {} in the middle)",
@@ -176,7 +188,7 @@ Hypothesis swapped_tags(std::size_t a, std::size_t b, const Data& data) {
 Hypothesis mirrored_tags() {
   Hypothesis out;
   // A little more than to swap: with two tags it may be the same, and to swap is more usual.
-  out.penalty = kDiscretePenalty + kGainPerParameter;
+  out.penalty = 1.05 * kDiscretePenalty;
   out.change = [](Data& changed) {
     for (model::Tag& tag : changed.tags) tag.lever_arm_m.y() = -tag.lever_arm_m.y();
   };
@@ -196,7 +208,7 @@ Hypothesis wrong_lever_arm(std::size_t tag, const Data& data, double height_vari
            [tag](const Eigen::VectorXd& at) { return Mistake{.tag = tag, .lever_arm_m = at.head<3>()}; })};
   out.name = [id = data.tags[tag].id, height_variance_m2](const RangeFit& fit) -> std::optional<Finding> {
     const Eigen::Vector3d& error_m = fit.at.head<3>();
-    Eigen::Matrix3d covariance = fit.covariance;
+    Eigen::Matrix3d covariance = fit.covariance.topLeftCorner<3, 3>();
     covariance(2, 2) += height_variance_m2;
     const double certain_m2 = (error_m.array().square() - covariance.diagonal().array()).max(0.0).sum();
     const double chi2 = error_m.dot(covariance.ldlt().solve(error_m));
@@ -322,11 +334,11 @@ class Trials {
 
 // The likeliest hypothesis, if the ranges are clearly likelier under it than as given; corrected in the data.
 std::optional<Finding> find_likeliest(Data& data, const MakeScene& make_scene,
-                                      const MakeHypotheses& hypotheses_of) {
+                                      const MakeHypotheses& hypotheses_of, double least_gain) {
   Trials trials(data, make_scene);
   if (!trials.fit_given()) return std::nullopt;
   std::optional<Finding> best;
-  double best_gain = kLeastGain;
+  double best_gain = least_gain;
   std::optional<Data> corrected;
   for (const Hypothesis& hypothesis : hypotheses_of(data, trials.given())) {
     std::optional<Data> changed;
@@ -334,14 +346,18 @@ std::optional<Finding> find_likeliest(Data& data, const MakeScene& make_scene,
     for (const Parameters& start : hypothesis.starts) {
       const std::optional<RangeFit> fit = trials.fit(hypothesis, start, changed ? &*changed : nullptr);
       if (!fit) continue;
-      const double penalty = hypothesis.penalty + kGainPerParameter * static_cast<double>(start.start.size());
+      // Schwarz's criterion.
+      const auto rows = static_cast<double>(fit->rows);
+      const double penalty =
+          hypothesis.penalty +
+          0.5 * std::log(rows) / rows * static_cast<double>(start.start.size() - start.nuisances);
       if (trials.given().cost - fit->cost - penalty < best_gain || 2 * fit->rows < trials.given().rows)
         continue;
       trials.improve_given(*fit);
       const double gain = trials.given().cost - fit->cost - penalty;
       if (gain < best_gain || fit->scale_m > kMostSigmas * data.priors.sigma_m) continue;
       std::optional<Finding> finding = hypothesis.name(*fit);
-      if (!finding || share_of_slices(*fit, trials.given()) < kMinSlices) continue;
+      if (!finding || gain_in_sigmas(*fit, trials.given()) < kLeastGainSigmas) continue;
       best = std::move(finding);
       best_gain = gain;
       corrected = changed ? *changed : data;
@@ -355,13 +371,13 @@ std::optional<Finding> find_likeliest(Data& data, const MakeScene& make_scene,
 }  // namespace
 
 std::vector<Finding> find_mistakes(Data& data, const MakeScene& make_scene,
-                                   const MakeHypotheses& hypotheses_of,
+                                   const MakeHypotheses& hypotheses_of, double least_gain,
                                    const std::function<void(Data&)>& prepare) {
   constexpr std::size_t kMost = 3;  // by hand: who makes more mistakes at once corrects these first
   std::vector<Finding> findings;
   while (findings.size() < kMost) {
     if (prepare) prepare(data);
-    std::optional<Finding> found = find_likeliest(data, make_scene, hypotheses_of);
+    std::optional<Finding> found = find_likeliest(data, make_scene, hypotheses_of, least_gain);
     if (!found) break;
     findings.push_back(std::move(*found));
   }

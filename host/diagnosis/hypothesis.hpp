@@ -21,7 +21,8 @@ inline constexpr double kDiscretePenalty = 0.1;
 struct Hypothesis {
   std::function<void(Data&)> change;  // of the data, before the fit; may be empty
   std::vector<Parameters> starts{Parameters{}};
-  double penalty = 0.0;  // beside that of its parameters
+  double penalty = 0.0;             // beside that of its parameters
+  bool resembles_odometry = false;  // a part of it looks like the errors that good odometry has
   // The finding, if the error is large and certain enough to be named.
   std::function<std::optional<Finding>(const RangeFit&)> name;
   // Removes the estimated error from the data.
@@ -54,10 +55,11 @@ using MakeHypotheses = std::function<std::vector<Hypothesis>(const Data&, const 
                                                         double height_variance_m2 = 0.0);
 
 // The mistakes that are named, each corrected in the data before the next is looked for: the hypothesis under
-// which the ranges are likeliest, if they are clearly likelier than as given. `prepare` corrects errors in
-// the data, before each search, that are no mistakes; may be empty.
+// which the ranges are likeliest, if they are clearly likelier than as given, by `least_gain` in log
+// likelihood of a range at least. `prepare` corrects errors in the data, before each search, that are no
+// mistakes; may be empty.
 [[nodiscard]] std::vector<Finding> find_mistakes(Data& data, const MakeScene& make_scene,
-                                                 const MakeHypotheses& hypotheses_of,
+                                                 const MakeHypotheses& hypotheses_of, double least_gain = 0.0,
                                                  const std::function<void(Data&)>& prepare = {});
 
 }  // namespace groma::diagnosis

@@ -116,6 +116,7 @@ std::vector<Hypothesis> of_odometry(const Data& data, double corrected) {
        .evidence = "the odometry turns {:.3f} times as fast as the ranges show",
        .remedy = "divide omega_radps by it, or check the track width",
        .correct = each([](double scale, model::OdometrySample& sample) { sample.omega_radps /= scale; })}));
+  out.back().resembles_odometry = true;
   out.push_back(wrong_yaw_rate_sign());
   out.push_back(changed(
       [](Data& data) {
@@ -170,8 +171,8 @@ class OdometryError {
     constexpr double kMostBias_radps = 0.01;  // by hand
     Parameters parameters;
     parameters.start = Eigen::Vector2d(1.0, 0.0);
-    parameters.prior_sigma = Eigen::Vector2d(0.01, 0.002);
-    parameters.step = Eigen::Vector2d(1e-3, 1e-5);
+    parameters.prior_sigma = kPriorSigma;
+    parameters.step = kStep;
     parameters.mistake = [](const Eigen::VectorXd& at) {
       return Mistake{.speed_scale = at(0), .yaw_rate_bias_radps = at(1)};
     };
@@ -181,6 +182,7 @@ class OdometryError {
     const double scale = scale_ * fit.at(0);
     if (!(std::abs(scale - 1.0) < kLeastScale && std::abs(fit.at(1)) < kMostBias_radps)) return;
     scale_ = scale;
+    bias_radps_ += fit.at(1);
     for (model::OdometrySample& sample : data.odometry) {
       sample.vx_mps /= fit.at(0);
       sample.vy_mps /= fit.at(0);
@@ -190,9 +192,36 @@ class OdometryError {
   // What was removed, given over true.
   [[nodiscard]] double scale() const noexcept { return scale_; }
 
+  // Of the data under a mistake that was removed in part as one of these: they are estimated again with it.
+  [[nodiscard]] Parameters with_these(const Parameters& parameters) const {
+    const Eigen::Index size = parameters.start.size();
+    Parameters out = parameters;
+    out.nuisances = 2;
+    const auto append = [](const Eigen::VectorXd& to, const Eigen::Vector2d& more) {
+      Eigen::VectorXd joined(to.size() + 2);
+      joined << to, more;
+      return joined;
+    };
+    out.start = append(parameters.start, {1.0 / scale_, -bias_radps_});
+    out.prior_sigma = append(parameters.prior_sigma, kPriorSigma);
+    out.step = append(parameters.step, kStep);
+    out.mistake = [mistake = parameters.mistake, size](const Eigen::VectorXd& at) {
+      Mistake made = mistake(at.head(size));
+      made.speed_scale = at(size);
+      made.yaw_rate_bias_radps = at(size + 1);
+      return made;
+    };
+    return out;
+  }
+
  private:
+  // Of good odometry, by hand.
+  inline static const Eigen::Vector2d kPriorSigma{0.01, 0.002};
+  inline static const Eigen::Vector2d kStep{1e-3, 1e-5};
+
   const MakeScene& make_scene_;
   double scale_ = 1.0;
+  double bias_radps_ = 0.0;
 };
 
 Hypothesis renumbered(const std::map<model::NodeId, model::NodeId>& exchanged) {
@@ -255,12 +284,16 @@ std::vector<Finding> compare_with_calibration(Data& data, const model::Calibrati
       out.push_back(std::move(hypothesis));
     }
     out.push_back(surface_height(height_m2));
+    for (Hypothesis& hypothesis : out) {
+      if (!hypothesis.resembles_odometry) continue;
+      for (Parameters& start : hypothesis.starts) start = error.with_these(start);
+    }
     const auto seen = compare_constellation(now, calibration);
     if (seen && shows_exchange(*seen)) out.push_back(renumbered(seen->exchanged));
     return out;
   };
   std::vector<Finding> findings =
-      find_mistakes(data, make_scene, hypotheses, [&](Data& now) { error.remove(now); });
+      find_mistakes(data, make_scene, hypotheses, 0.0, [&](Data& now) { error.remove(now); });
   return findings.empty() ? find_mismatch(data, calibration) : findings;
 }
 

@@ -196,8 +196,14 @@ void score(const Eigen::VectorXd& r, Estimate& out, int iterations) {
   out.cost = 2.0 * count < static_cast<double>(n) ? std::numeric_limits<double>::infinity() : sum / count;
 }
 
-// Steps of the numerical derivatives; by hand: small against each limit.
-const Unknowns kSteps = (Unknowns() << 0.005, 1e-5, 1e-4, 1e-4, 1e-4, 1e-5).finished();
+// Steps of the numerical derivatives; by hand: small against each limit. Those of the clock are half a
+// window, at the drive's ends: over shorter ones the odometry's noise would look like changes of the speed,
+// by which the clock shows, and make the clock look twice as certain as it is.
+Unknowns steps_of(const Comparison& comparison) {
+  return (Unknowns() << 0.5 * kWindow_s, kWindow_s / std::max(kWindow_s, comparison.duration_s()), 1e-4, 1e-4,
+          1e-4, 1e-5)
+      .finished();
+}
 
 // Levenberg-Marquardt on the robust cost from a start.
 Estimate estimate(const Comparison& comparison, const Unknowns& start) {
@@ -210,14 +216,22 @@ Estimate estimate(const Comparison& comparison, const Unknowns& start) {
   double damping = 1e-3;
   Eigen::Matrix<double, kUnknowns, kUnknowns> information;
   Eigen::Matrix<double, kUnknowns, kSlices> scores;
+  const Unknowns steps = steps_of(comparison);
   for (int iteration = 0; iteration < 40; ++iteration) {
     Eigen::MatrixXd j(r.size(), kUnknowns);
     for (Eigen::Index k = 0; k < kUnknowns; ++k) {
+      const bool is_of_clock = k == kClock || k == kDrift;
       Unknowns moved = best.at;
-      moved(k) += kSteps(k);
-      j.col(k) = (comparison.residuals(moved) - r) / kSteps(k);
+      moved(k) += steps(k);
+      j.col(k) = comparison.residuals(moved);
+      if (is_of_clock) {
+        moved(k) = best.at(k) - steps(k);
+        j.col(k) = 0.5 * (j.col(k) - comparison.residuals(moved)) / steps(k);
+      } else {
+        j.col(k) = (j.col(k) - r) / steps(k);
+      }
     }
-    information = (1e-9 * kSteps.cwiseInverse().cwiseAbs2()).asDiagonal();
+    information = (1e-9 * steps.cwiseInverse().cwiseAbs2()).asDiagonal();
     scores.setZero();
     for (Eigen::Index i = 0; i < r.size(); ++i) {
       if (!std::isfinite(r(i)) || !j.row(i).allFinite()) continue;

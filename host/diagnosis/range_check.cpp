@@ -22,14 +22,17 @@ std::unique_ptr<Scene> make_anchor_scene(const Data& data, std::size_t most_rows
 
 std::vector<Finding> compare_with_poses(Data& data, bool heading_is_known) {
   if (data.ranges.empty() || data.poses.size() < 2) return {};
-  return find_mistakes(data, make_anchor_scene, [&](const Data& now, const RangeFit& given) {
+  const auto hypotheses = [&](const Data& now, const RangeFit& given) {
     std::vector<Hypothesis> out = of_clock_and_tags(now, given, make_anchor_scene, "poses'");
     if (!heading_is_known) {
       out.push_back(heading_offset());
       out.push_back(heading_sign());
     }
     return out;
-  });
+  };
+  // More than the errors of good poses, which last longer than a slice: by hand.
+  constexpr double kLeastGain = 0.02;
+  return find_mistakes(data, make_anchor_scene, hypotheses, kLeastGain);
 }
 
 std::vector<Finding> compare_with_survey(const Data& data) {

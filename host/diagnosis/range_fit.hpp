@@ -83,7 +83,8 @@ struct Parameters {
   Eigen::VectorXd prior_sigma;  // of parameter minus start
   Eigen::VectorXd step;         // of the numerical derivatives
   std::function<Mistake(const Eigen::VectorXd&)> mistake = [](const Eigen::VectorXd&) { return Mistake{}; };
-  bool is_neutral = true;  // the start is no mistake
+  bool is_neutral = true;      // the start is no mistake
+  Eigen::Index nuisances = 0;  // the last ones, which are no mistake
 };
 
 struct RangeFit {

@@ -14,20 +14,36 @@
 namespace groma::diagnosis {
 namespace {
 
-// By hand: dead reckoning drifts by less than the noise of a range, and the robot moves enough for its place
-// and heading to show.
-constexpr double kWindowLength_s = 10.0;
+// A clock and a yaw rate show by how the course changes within a window. At 0.5 m/s, 10 s raise the log
+// likelihood of an offset of 0.1 s by a twentieth of what 60 s do. By hand: on this way dead reckoning drifts
+// by less than the noise of a range, and robots turn.
+constexpr double kWindowLength_m = 30.0;
+constexpr double kShortestWindow_s = 10.0;
+constexpr double kLongestWindow_s = 60.0;
 // By hand: as many as a window needs to be placed well.
 constexpr double kWindowRows = 40.0;
 // A window with fewer ranges does not determine its place.
 constexpr std::size_t kMinWindowRows = 12;
-// By hand: with fewer, slow NLOS errors of a few anchors look like a mistake (a drift on 30 s of a good
-// drive).
-constexpr std::size_t kMinReckonedWindows = 6;
+// By hand: a minute but for its ends. In less, slow NLOS errors of a few anchors look like a mistake (a drift
+// on 30 s of a good drive).
+constexpr double kLeastReckoned_s = 59.0;
 
 // Pairs whose bias is less certain, such as those of surveyed anchors, would be explained by a mistake. By
 // hand: a third of the lever arm that is named.
 constexpr double kMostBetaSigma_m = 0.1;
+
+// The drive divided into equal windows.
+double window_length_s(const std::vector<model::OdometrySample>& odometry) {
+  double way_m = 0.0;
+  for (std::size_t i = 1; i < odometry.size(); ++i) {
+    way_m +=
+        std::hypot(odometry[i - 1].vx_mps, odometry[i - 1].vy_mps) * (odometry[i].t_s - odometry[i - 1].t_s);
+  }
+  const double duration_s = odometry.back().t_s - odometry.front().t_s;
+  const double length_s =
+      std::clamp(duration_s * kWindowLength_m / std::max(way_m, 1e-3), kShortestWindow_s, kLongestWindow_s);
+  return duration_s / std::max(1.0, std::round(duration_s / length_s));
+}
 
 }  // namespace
 
@@ -42,8 +58,9 @@ WindowScene::WindowScene(const Data& data, const model::Calibration& calibration
   const double begin_s = data.odometry.front().t_s;
   const double duration_s = data.odometry.back().t_s - begin_s;
   const double slice_s = duration_s / kSlices;
+  const double length_s = window_length_s(data.odometry);
   // All ranges of some windows would fit best, but the windows have to show the whole drive.
-  const double windows = std::max(1.0, std::ceil(duration_s / kWindowLength_s));
+  const double windows = std::max(1.0, std::round(duration_s / length_s));
   const double kept = std::min(windows, std::ceil(static_cast<double>(most_rows) / kWindowRows));
   const double share = kept / windows;
   const auto is_shown = [&](double window) {
@@ -57,7 +74,7 @@ WindowScene::WindowScene(const Data& data, const model::Calibration& calibration
     const model::RangeSample& range = data.ranges[i];
     if (range.t_s < begin_s || range.t_s >= data.odometry.back().t_s) continue;
     const double since_s = range.t_s - begin_s;
-    const double window = std::floor(since_s / kWindowLength_s);
+    const double window = std::floor(since_s / length_s);
     if (!is_shown(window)) continue;
     const model::AnchorCalibration* anchor = model::find_anchor(calibration, range.anchor_id);
     if (anchor == nullptr || !model::has_position(*anchor) || !tags.contains(range.tag_id)) continue;
@@ -78,9 +95,9 @@ WindowScene::WindowScene(const Data& data, const model::Calibration& calibration
       row.block = static_cast<std::uint32_t>(windows_.size());
       rows_.push_back(row);
     }
-    windows_.push_back(begin_s + kWindowLength_s * static_cast<double>(index));
+    windows_.push_back(begin_s + length_s * static_cast<double>(index));
   }
-  if (windows_.size() < kMinReckonedWindows) rows_.clear();
+  if (static_cast<double>(windows_.size()) * length_s < kLeastReckoned_s) rows_.clear();
 }
 
 void WindowScene::reckon(const DeadReckoning::YawRateError& yaw_rate) const {

@@ -7,6 +7,7 @@
 #include <numbers>
 #include <string>
 #include <utility>
+#include <variant>
 #include <vector>
 
 #include "host/diagnosis/data.hpp"
@@ -160,13 +161,25 @@ inline MistakeMade surface_height(double by_m) {
           },
           {by_m}};
 }
+inline model::Surface raised(const model::Surface& surface, double by_m) {
+  std::vector<model::Chart> charts = surface.charts();
+  for (model::Chart& chart : charts) {
+    if (auto* const spline = std::get_if<model::BSpline>(&chart.shape)) {
+      std::vector<double> heights_m = spline->heights_m();
+      for (double& height_m : heights_m) height_m += by_m;
+      *spline = model::BSpline(spline->grid(), std::move(heights_m));
+    } else {
+      const model::SurfacePoint at = std::get<model::Plane>(chart.shape).at(0.0, 0.0);
+      chart.shape = model::Plane(at.z_m + by_m, {-at.gradient.x(), -at.gradient.y(), 1.0});
+    }
+  }
+  return model::Surface(std::move(charts));
+}
 // The surface is given this much too high: seen without poses, the tags are too high.
 inline MistakeMade tags_too_high(double by_m) {
   return {"surface too high",
           "surface-height",
-          [=](diagnosis::Data& data) {
-            data.surface = model::Plane(data.surface.height_m(0.0, 0.0, 0) + by_m, {0.0, 0.0, 1.0});
-          },
+          [=](diagnosis::Data& data) { data.surface = raised(data.surface, by_m); },
           {by_m}};
 }
 // The drive backwards and half as fast again, so that no symmetry of the route hides it.

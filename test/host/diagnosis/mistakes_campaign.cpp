@@ -94,7 +94,9 @@ struct Sized {
 std::vector<Sized> sized_mistakes(Command command) {
   std::vector<Sized> out{
       {"clock-offset, s", 0.1, [](double size) { return test::clock_offset(size); }},
-      {"clock-drift, s/s", 1e-3, [](double size) { return test::clock_drift(size); }},
+      // 0.24 s over what the command sees.
+      {"clock-drift, s/s", command == Command::kGromad ? 2e-3 : 1e-3,
+       [](double size) { return test::clock_drift(size); }},
       {"yaw-rate-scale", 0.05, [](double size) { return test::yaw_rate_scale(1.0 + size); }},
       {"odometry-scale", 0.05, [](double size) { return test::odometry_scale(1.0 + size); }},
       {"lever-arm, m", 0.3,
@@ -176,7 +178,7 @@ void keep_last(Samples& samples, double from_s) {
   std::erase_if(samples, [&](const auto& sample) { return sample.t_s < from_s; });
 }
 
-// What the command names where this is wrong.
+// What the command names where this is wrong; gromad sees the last two minutes.
 template <class Mistakes>
 std::vector<Finding> findings_of(Command command, const Drive& drive, const Mistakes& made) {
   Data data = drive.data;
@@ -217,6 +219,27 @@ std::string causes_of(const std::vector<Finding>& findings) {
   return out;
 }
 
+// Mistakes that a drive cannot show without poses: right is to name nothing.
+struct Hidden {
+  const char* drive;
+  const char* cause;
+  double below;  // of the size
+  const char* why;
+};
+constexpr std::array kHidden{
+    Hidden{"real/lias_fast", "surface-height", std::numeric_limits<double>::infinity(),
+           "anchors and tags are at one height, so that ranges hardly change with it"},
+    Hidden{"real/mcd_ntu_day_09", "surface-height", 2.0,
+           "the calibration knows the heights of all anchors together to 0.4 m, and five sigma are named"},
+};
+const Hidden* hidden(Command command, const std::string& drive, const test::MistakeMade& made) {
+  if (has_poses(command)) return nullptr;
+  const auto found = std::find_if(kHidden.begin(), kHidden.end(), [&](const Hidden& of) {
+    return drive == of.drive && made.cause == of.cause && std::abs(made.value.front()) < of.below;
+  });
+  return found != kHidden.end() ? &*found : nullptr;
+}
+
 struct Count {
   int cases = 0;
   int named = 0;
@@ -243,8 +266,22 @@ class Table {
       if (std::abs(first.value[i] - made.value[i]) < 3.0 * first.sigma[i]) ++count.sized;
     }
   }
+  // Of a mistake that cannot be seen.
+  void add_hidden(const test::MistakeMade& made, const std::vector<Finding>& findings) {
+    Count& count = counts_[made.cause];
+    ++count.cases;
+    ++(findings.empty() ? count.named : count.other);
+  }
+  // The causes of which too few cases are right.
+  [[nodiscard]] std::string often_missed(double least_share) const {
+    std::string out;
+    for (const auto& [cause, count] : counts_) {
+      if (count.named < least_share * count.cases) out += cause + " ";
+    }
+    return out;
+  }
   void print() const {
-    std::printf("%-28s %6s %6s %6s %14s\n", "cause", "cases", "named", "other", "within 3 sigma");
+    std::printf("%-28s %6s %6s %6s %14s\n", "cause", "cases", "right", "other", "within 3 sigma");
     for (const auto& [cause, count] : counts_) {
       std::printf("%-28s %6d %6d %6d %7d of %3d\n", cause.c_str(), count.cases, count.named, count.other,
                   count.sized, count.sizes);
@@ -311,6 +348,13 @@ TEST(MistakesCampaign, NamesTheRightCauseFirst) {
         continue;
       for (const test::MistakeMade& made : mistakes(command)) {
         const std::vector<Finding> findings = findings_of(command, drive, made);
+        if (const Hidden* const of = hidden(command, drive.name, made)) {
+          std::printf("%s, %s: %s of %g cannot be seen (%s), and is '%s'\n", name_of(command),
+                      drive.name.c_str(), made.cause.c_str(), made.value.front(), of->why,
+                      causes_of(findings).c_str());
+          table.add_hidden(made, findings);
+          continue;
+        }
         if (findings.empty() || findings.front().cause != made.cause) {
           std::printf("%s, %s: %s (%s) is '%s'\n", name_of(command), drive.name.c_str(), made.cause.c_str(),
                       made.name.c_str(), causes_of(findings).c_str());
@@ -322,6 +366,7 @@ TEST(MistakesCampaign, NamesTheRightCauseFirst) {
     table.print();
     const Count all = table.total();
     EXPECT_GE(all.named, 0.9 * all.cases) << name_of(command);
+    EXPECT_EQ(table.often_missed(0.75), "") << name_of(command);
     EXPECT_LE(all.other, 0.02 * all.cases) << name_of(command);
     EXPECT_GE(all.sized, 0.9 * all.sizes) << name_of(command);
   }
