@@ -145,12 +145,12 @@ std::vector<model::PoseSample> truth_of(const std::filesystem::path& dataset) {
   return io::read_poses(path, dropped);
 }
 
-std::vector<report::RangeRow> residuals(const filter::Run& run, std::span<const model::PlanarEstimate> poses,
-                                        double range_delay_s) {
+std::vector<report::RangeRow> residuals(const filter::Run& run, const smoother::Result& result) {
+  const std::span<const model::PlanarEstimate> poses = result.rows;
   std::vector<report::RangeRow> rows;
   if (run.surface->chart_count() > 1 || poses.empty()) return rows;
-  for (const model::RangeSample& range : run.ranges) {
-    const double t_s = range.t_s - range_delay_s;
+  for (const auto& [range, weight] : result.ranges) {
+    const double t_s = range.t_s - result.range_delay_s;
     const model::AnchorCalibration* anchor = model::find_anchor(*run.calibration, range.anchor_id);
     const Eigen::Vector3d* lever_arm_m = lever_arm_of(run, range.tag_id);
     if (t_s < poses.front().t_s || t_s > poses.back().t_s || anchor == nullptr || lever_arm_m == nullptr)
@@ -166,7 +166,7 @@ std::vector<report::RangeRow> residuals(const filter::Run& run, std::span<const 
                     .range_m = range.range_m,
                     .innovation_m = range.range_m - predicted.range_m,
                     .sigma_m = std::numeric_limits<double>::quiet_NaN(),
-                    .weight = 1.0});
+                    .weight = weight});
   }
   return rows;
 }

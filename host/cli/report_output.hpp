@@ -14,6 +14,7 @@
 #include "host/model/calibration.hpp"
 #include "host/report/drive_report.hpp"
 #include "host/report/page.hpp"
+#include "host/smoother/smoother.hpp"
 
 namespace groma::cli {
 
@@ -47,10 +48,8 @@ void record_ranges(filter::ReplayOptions& options, std::vector<report::RangeRow>
 // io::read_dataset().
 [[nodiscard]] std::vector<model::PoseSample> truth_of(const std::filesystem::path& dataset);
 
-// Ranges less those that the calibration predicts at the poses, which are `range_delay_s` earlier; no range
-// outside the poses' times, of an unknown pair, or on a surface of several charts.
-[[nodiscard]] std::vector<report::RangeRow> residuals(const filter::Run& run,
-                                                      std::span<const model::PlanarEstimate> poses,
-                                                      double range_delay_s);
+// Ranges less those that the calibration predicts at the smoothed poses, with the smoother's weights; no
+// range outside the poses' times, or on a surface of several charts.
+[[nodiscard]] std::vector<report::RangeRow> residuals(const filter::Run& run, const smoother::Result& result);
 
 }  // namespace groma::cli

@@ -43,7 +43,7 @@ void write_report(const SmoothOptions& options, const FilterInput::Drive& drive,
   report::add_drive(page, {.rows = result.rows,
                            .truth = truth,
                            .calibration = &drive.calibration,
-                           .ranges = residuals(drive.run(), result.rows, result.range_delay_s),
+                           .ranges = residuals(drive.run(), result),
                            .has_residuals = true});
   write_page(*options.report, std::move(page), versions_of(drive.dataset, drive.calibration));
 }
@@ -61,7 +61,7 @@ void expect_poses(const SmoothOptions& options, const smoother::Result& result) 
 // The JSON object where the data gave no poses, and the diagnosis says why.
 Json empty_json(const FilterInput::Drive& drive, const smoother::Result& result,
                 const std::vector<diagnosis::Finding>& findings) {
-  Json json{{"ranges_seen", result.ranges_seen}, {"diagnosis", diagnosis::to_json(findings)}};
+  Json json{{"ranges_seen", result.ranges.size()}, {"diagnosis", diagnosis::to_json(findings)}};
   for (const char* key : {"ranges_in_sight", "rounds", "converged", "scale_error", "yaw_rate_bias_radps",
                           "range_delay_s", "odometry_delay_s"})
     json[key] = nullptr;
@@ -93,9 +93,9 @@ int run(const SmoothOptions& options) {
   if (options.report) write_report(options, drive, result);
   FilterInput::warn_of_samples(result.counters, warnings);
   // The sum of the LOS probabilities is below one.
-  if (result.ranges_los < 1.0) FilterInput::warn_without_ranges(result.ranges_seen, warnings);
+  if (result.ranges_los < 1.0) FilterInput::warn_without_ranges(result.ranges.size(), warnings);
   if (options.input.json()) {
-    say_json(Json{{"ranges_seen", result.ranges_seen},
+    say_json(Json{{"ranges_seen", result.ranges.size()},
                   {"diagnosis", diagnosis::to_json(findings)},
                   {"ranges_in_sight", result.ranges_los},
                   {"rounds", result.rounds},
@@ -111,8 +111,8 @@ int run(const SmoothOptions& options) {
                     options.input.output().string()));
     say(fmt::format(
         "{} ranges, {:.0f} % of them LOS; odometry scale error {:.4f}, yaw-rate bias {:.5f} rad/s\n",
-        result.ranges_seen,
-        result.ranges_seen > 0 ? 100.0 * result.ranges_los / static_cast<double>(result.ranges_seen) : 0.0,
+        result.ranges.size(),
+        result.ranges.size() > 0 ? 100.0 * result.ranges_los / static_cast<double>(result.ranges.size()) : 0.0,
         result.scale_error, result.yaw_rate_bias_radps));
   }
   return warnings.exit_code();

@@ -7,6 +7,7 @@
 
 #include <Eigen/Cholesky>
 
+#include "host/filter/propagation.hpp"
 #include "host/filter/range_measurement.hpp"
 #include "host/model/ablation.hpp"
 #include "host/model/plausible.hpp"

@@ -9,6 +9,7 @@
 #include <limits>
 #include <map>
 #include <numbers>
+#include <numeric>
 #include <utility>
 
 #include <Eigen/Eigenvalues>
@@ -301,7 +302,9 @@ std::map<model::NodeId, std::vector<RangeRow>> by_anchor(const std::vector<Range
   return anchors;
 }
 
-// Used ranges in their tag's colour with a line of medians, rejected ones apart.
+bool is_likely_los(const RangeRow& range) noexcept { return range.weight > 0.5; }
+
+// Ranges that are more likely LOS than not in their tag's colour with a line of medians, the others apart.
 Chart innovation_chart(model::NodeId anchor, const std::vector<RangeRow>& ranges,
                        const std::vector<model::NodeId>& tags, const Vector2d& y_range,
                        const DriveView& view) {
@@ -312,16 +315,12 @@ Chart innovation_chart(model::NodeId anchor, const std::vector<RangeRow>& ranges
   axes.y_range = y_range;
   Chart chart(axes);
   std::map<model::NodeId, std::vector<Vector2d>> used;
-  std::vector<Vector2d> rejected;
+  std::vector<Vector2d> light;
   for (const RangeRow& range : ranges) {
-    if (range.weight > 0.0) {
-      used[range.tag_id].emplace_back(range.t_s, range.innovation_m);
-    } else {
-      rejected.emplace_back(range.t_s, range.innovation_m);
-    }
+    (is_likely_los(range) ? used[range.tag_id] : light).emplace_back(range.t_s, range.innovation_m);
   }
   constexpr std::size_t kBins = 60;
-  if (!rejected.empty()) chart.add_points("rejected", Ink::kOther, std::move(rejected));
+  if (!light.empty()) chart.add_points("weight below 0.5", Ink::kOther, std::move(light));
   for (auto& [tag, points] : used) {
     const auto index =
         static_cast<std::size_t>(std::lower_bound(tags.begin(), tags.end(), tag) - tags.begin());
@@ -333,12 +332,12 @@ Chart innovation_chart(model::NodeId anchor, const std::vector<RangeRow>& ranges
   return chart;
 }
 
-// 98 % of the used ranges, and at least 0.3 m to both sides.
+// 98 % of those, and at least 0.3 m to both sides.
 Vector2d innovation_range(const std::vector<RangeRow>& ranges) {
   std::vector<double> values;
   values.reserve(ranges.size());
   for (const RangeRow& range : ranges) {
-    if (range.weight > 0.0) values.push_back(range.innovation_m);
+    if (is_likely_los(range)) values.push_back(range.innovation_m);
   }
   if (values.empty()) values.push_back(0.0);
   constexpr double kLeast_m = 0.3;
@@ -356,7 +355,7 @@ void add_pair_table(Page& page, const DriveView& view) {
     Eigen::Vector3d correction = Eigen::Vector3d::Zero();
     for (const RangeRow& range : ranges) {
       correction += range.correction;
-      if (!(range.weight > 0.0)) continue;
+      if (!(view.has_residuals ? is_likely_los(range) : range.weight > 0.0)) continue;
       used_m.push_back(range.innovation_m);
       nis += model::square(range.innovation_m / range.sigma_m);
     }
@@ -477,10 +476,13 @@ void add_summary(Page& page, const DriveView& view, const std::optional<evaluati
                                    : Tone::kBad});
   }
   if (!view.ranges.empty()) {
-    const auto used = std::count_if(view.ranges.begin(), view.ranges.end(),
-                                    [](const RangeRow& range) { return range.weight > 0.0; });
+    // The smoother's weights are LOS probabilities.
+    const double used =
+        std::accumulate(view.ranges.begin(), view.ranges.end(), 0.0, [&](double sum, const RangeRow& range) {
+          return sum + (view.has_residuals ? range.weight : range.weight > 0.0 ? 1.0 : 0.0);
+        });
     facts.push_back(
-        {fmt::format("{:.0f} %", 100.0 * static_cast<double>(used) / static_cast<double>(view.ranges.size())),
+        {fmt::format("{:.0f} %", 100.0 * used / static_cast<double>(view.ranges.size())),
          fmt::format("of {} ranges {}", view.ranges.size(), view.has_residuals ? "LOS" : "used")});
   }
   facts.push_back(
@@ -681,7 +683,7 @@ void add_moment(Page& page, const MomentView& view) {
                   {fmt::format("{:.3f} m", radius_95_m(now)), "95 % radius of the position"},
                   {fmt::format("{} of {}", used, view.ranges.size()), "ranges used"},
                   {fmt::format("{:.1f} cm", 100.0 * moved.head<2>().norm()), "correction by them together"},
-                  {fmt::format("{:+.1f} mrad", 1000.0 * moved.z()), "of the heading"}});
+                  {fmt::format("{:+.2f} mrad", 1000.0 * moved.z()), "of the heading"}});
   add_moment_map(page, view);
   add_moment_course(page, view);
   if (view.ranges.empty()) return;

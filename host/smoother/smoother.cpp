@@ -249,8 +249,11 @@ class Smoother {
     result.yaw_rate_bias_radps = values(Shared::kYawBias);
     result.odometry_delay_s = shared_.delays.odometry_s(values(Shared::kDelay));
     result.range_delay_s = values(Shared::kDelay) + result.odometry_delay_s;
-    result.ranges_seen = sightings_.size();
-    for (const Sighting& sighting : sightings_) result.ranges_los += sighting.weight;
+    result.ranges.reserve(sightings_.size());
+    for (const Sighting& sighting : sightings_) {
+      result.ranges.push_back({*sighting.range, sighting.weight});
+      result.ranges_los += sighting.weight;
+    }
     const std::vector<Eigen::MatrixXd> covariances =
         problem.covariances({Shared::kScale, Shared::kYawBias, Shared::kDelay});
     for (std::size_t k = 0; k < rows_.size(); ++k) {

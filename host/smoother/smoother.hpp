@@ -22,14 +22,20 @@
 
 namespace groma::smoother {
 
+// A range that counts, with its LOS probability by the filter's gate.
+struct WeightedRange {
+  model::RangeSample range;
+  double weight = 0.0;
+};
+
 struct Result {
   std::vector<model::PlanarEstimate> rows;  // one for each odometry sample from the start on
   double scale_error = 0.0;
   double yaw_rate_bias_radps = 0.0;
   double range_delay_s = 0.0;
   double odometry_delay_s = 0.0;
-  std::size_t ranges_seen = 0;
-  double ranges_los = 0.0;    // sum of their weights: of their LOS probabilities
+  std::vector<WeightedRange> ranges;
+  double ranges_los = 0.0;    // sum of their weights
   filter::Counters counters;  // of the filter run that initializes it
   int rounds = 0;
   bool converged = false;  // the last round moved no pose by more than a millimetre

@@ -63,7 +63,7 @@ TEST_P(Smoothing, IsBetterThanTheFilterAndConsistent) {
     const Result result = smooth(run, options);
     ASSERT_EQ(result.rows.size(), drive.odometry.size());
     EXPECT_TRUE(result.converged);
-    los += result.ranges_los / static_cast<double>(result.ranges_seen) / kSites;
+    los += result.ranges_los / static_cast<double>(result.ranges.size()) / kSites;
     const std::size_t row = 60 + static_cast<std::size_t>(random.uniform(0.0, 120.0));
     EXPECT_EQ(result.rows[row].t_s, drive.odometry[row].t_s);
     const Score here = score(result.rows[row], drive.truth[row]);
