@@ -112,7 +112,7 @@ int run(const SmoothOptions& options) {
     say(fmt::format(
         "{} ranges, {:.0f} % of them LOS; odometry scale error {:.4f}, yaw-rate bias {:.5f} rad/s\n",
         result.ranges.size(),
-        result.ranges.size() > 0 ? 100.0 * result.ranges_los / static_cast<double>(result.ranges.size()) : 0.0,
+        !result.ranges.empty() ? 100.0 * result.ranges_los / static_cast<double>(result.ranges.size()) : 0.0,
         result.scale_error, result.yaw_rate_bias_radps));
   }
   return warnings.exit_code();

@@ -302,7 +302,9 @@ std::map<model::NodeId, std::vector<RangeRow>> by_anchor(const std::vector<Range
   return anchors;
 }
 
-bool is_likely_los(const RangeRow& range) noexcept { return range.weight > 0.5; }
+bool is_likely_los(const RangeRow& range) noexcept {
+  return range.weight > 0.5;
+}
 
 // Ranges that are more likely LOS than not in their tag's colour with a line of medians, the others apart.
 Chart innovation_chart(model::NodeId anchor, const std::vector<RangeRow>& ranges,
