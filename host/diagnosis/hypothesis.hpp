@@ -25,6 +25,8 @@ struct Hypothesis {
   bool resembles_odometry = false;  // a part of it looks like the errors that good odometry has
   // The finding, if the error is large and certain enough to be named.
   std::function<std::optional<Finding>(const RangeFit&)> name;
+  // Whether the error is one that good runs have too. May be empty.
+  std::function<bool(const RangeFit&)> is_usual;
   // Removes the estimated error from the data.
   std::function<void(const RangeFit&, Data&)> correct = [](const RangeFit&, Data&) {};
 };

@@ -200,6 +200,18 @@ double course_agreement(const std::vector<model::PoseSample>& poses, double unit
   return count < static_cast<double>(kMinSamples) ? 0.0 : std::abs(sum) / count;
 }
 
+// Whether roll and pitch are too large for a ground robot, as most are in degrees.
+bool are_tilts_in_degrees(const std::vector<model::PoseSample>& poses) {
+  // By hand: robots drive on slopes of 0.3 rad.
+  constexpr double kMostTilt_rad = 0.5;
+  std::vector<double> tilts_rad;
+  for (const model::PoseSample& pose : poses) {
+    if (std::isfinite(pose.roll_rad) && std::isfinite(pose.pitch_rad))
+      tilts_rad.push_back(std::max(std::abs(pose.roll_rad), std::abs(pose.pitch_rad)));
+  }
+  return tilts_rad.size() >= kMinSamples && model::median(std::move(tilts_rad)) > kMostTilt_rad;
+}
+
 }  // namespace
 
 std::vector<Finding> find_unknown_nodes(const Data& data, const std::set<model::NodeId>& known_anchors,
@@ -353,19 +365,34 @@ std::vector<Finding> find_wrong_lengths(Data& data) {
 }
 
 std::vector<Finding> find_wrong_angles(Data& data) {
+  std::vector<Finding> findings;
+  if (are_tilts_in_degrees(data.poses)) {
+    findings.push_back({.cause = "angle-unit",
+                        .evidence =
+                            "roll and pitch of the poses are too large for a robot on the ground, unless "
+                            "they are in degrees",
+                        .remedy = "give the columns roll_rad and pitch_rad of the poses in radians",
+                        .value = {kDegrees.factor}});
+    for (model::PoseSample& pose : data.poses) {
+      pose.roll_rad /= kDegrees.factor;
+      pose.pitch_rad /= kDegrees.factor;
+    }
+  }
   double largest = 0.0;
   for (const model::PoseSample& pose : data.poses) largest = std::max(largest, std::abs(pose.yaw_rad));
   // By hand: a yaw in radians is within a turn and a bit, unless it counts turns.
-  if (largest < 7.0) return {};
+  if (largest < 7.0) return findings;
   const double as_degrees = course_agreement(data.poses, kDegrees.factor);
   const double as_radians = course_agreement(data.poses, 1.0);
-  if (as_degrees < as_radians + 0.2) return {};  // by hand: random angles agree by below 0.1
+  if (as_degrees < as_radians + 0.2) return findings;  // by hand: random angles agree by below 0.1
   for (model::PoseSample& pose : data.poses) pose.yaw_rad = model::wrap_angle(pose.yaw_rad / kDegrees.factor);
-  return {{.cause = "angle-unit",
-           .evidence = fmt::format(
-               "the yaw of the poses reaches {:.0f}, and follows their course if it is in degrees", largest),
-           .remedy = "give the column yaw_rad of the poses in radians",
-           .value = {kDegrees.factor}}};
+  findings.push_back(
+      {.cause = "angle-unit",
+       .evidence = fmt::format(
+           "the yaw of the poses reaches {:.0f}, and follows their course if it is in degrees", largest),
+       .remedy = "give the column yaw_rad of the poses in radians",
+       .value = {kDegrees.factor}});
+  return findings;
 }
 
 std::vector<Finding> find_wrong_height(const Data& data) {

@@ -6,6 +6,7 @@
 #include <array>
 #include <cmath>
 #include <limits>
+#include <numbers>
 #include <span>
 #include <tuple>
 #include <unordered_set>
@@ -262,6 +263,14 @@ std::optional<model::PoseCovariance> optional_covariance(const CsvReader& csv, s
   return terms;
 }
 
+// Whether the pose is one of a ground robot if its roll and pitch are in degrees.
+bool is_plausible_in_degrees(model::PoseSample pose) {
+  constexpr double kRadians = std::numbers::pi / 180.0;
+  pose.roll_rad *= kRadians;
+  pose.pitch_rad *= kRadians;
+  return model::is_plausible(pose);
+}
+
 // Whether to keep the row.
 bool check(const CsvReader& csv, const model::PoseSample& pose, ImplausibleRows& implausible) {
   if (pose.covariance && !model::is_covariance(*pose.covariance)) {
@@ -296,7 +305,9 @@ std::vector<model::PoseSample> parse_poses(const std::filesystem::path& path, st
                  {"p_tt", Presence::kOptional}});
   constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
   std::vector<model::PoseSample> poses;
+  std::vector<model::PoseSample> tilted;
   ImplausibleRows implausible;
+  ImplausibleRows tilts;
   while (csv.next()) {
     const model::PoseSample pose{csv.number(0),
                                  csv.number(1),
@@ -306,9 +317,21 @@ std::vector<model::PoseSample> parse_poses(const std::filesystem::path& path, st
                                  csv.optional_number(5).value_or(kNone),
                                  csv.optional_number(6).value_or(kNone),
                                  optional_covariance(csv, 7)};
-    if (check(csv, pose, implausible)) poses.push_back(pose);
+    const bool is_tilted = is_plausible_in_degrees(pose);
+    if (check(csv, pose, is_tilted ? tilts : implausible)) {
+      poses.push_back(pose);
+    } else if (is_tilted) {
+      tilted.push_back(pose);
+    }
   }
-  implausible.finish(poses.size(), dropped);
+  implausible.finish(poses.size() + tilted.size(), dropped);
+  // Most are a mistake of the unit, which the diagnosis names; a few are wrong rows.
+  if (!tilted.empty() && tilted.size() >= poses.size()) {
+    poses.insert(poses.end(), tilted.begin(), tilted.end());
+    std::stable_sort(poses.begin(), poses.end(), [](const auto& a, const auto& b) { return a.t_s < b.t_s; });
+  } else {
+    tilts.finish(poses.size(), dropped);
+  }
   put_in_order(poses, dropped);
   return poses;
 }

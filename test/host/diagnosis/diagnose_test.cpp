@@ -97,11 +97,11 @@ INSTANTIATE_TEST_SUITE_P(
                     test::odometry_clock_offset(0.25), test::clock_drift(0.01), test::time_overlap(),
                     test::time_unit(1e3), test::all_times_unit(1e3), test::all_times_unit(1e9),
                     test::length_unit(1e3), test::odometry_length_unit(1e3), test::angle_unit(),
-                    test::heading_offset(1.5708), test::heading_sign(), test::lateral_sign(),
-                    test::yaw_rate_sign(), test::yaw_rate_scale(1.1), test::odometry_scale(0.9),
-                    test::swapped_tags(), test::lever_arm({0.5, 0.0, 0.0}), test::surface_height(0.5),
-                    test::odometry_of_another_drive(), test::unknown_tag(), test::unknown_anchor(),
-                    test::renumbered_anchors(), test::another_site()),
+                    test::tilt_unit(), test::heading_offset(1.5708), test::heading_sign(),
+                    test::lateral_sign(), test::yaw_rate_sign(), test::yaw_rate_scale(1.1),
+                    test::odometry_scale(0.9), test::swapped_tags(), test::lever_arm({0.5, 0.0, 0.0}),
+                    test::surface_height(0.5), test::odometry_of_another_drive(), test::unknown_tag(),
+                    test::unknown_anchor(), test::renumbered_anchors(), test::another_site()),
     name_of);
 
 TEST(Diagnose, NamesNothingInAGoodDrive) {

@@ -95,6 +95,18 @@ inline MistakeMade angle_unit() {
           },
           {kDegrees}};
 }
+inline MistakeMade tilt_unit() {
+  constexpr double kDegrees = 180.0 / std::numbers::pi;
+  return {"roll and pitch in degrees",
+          "angle-unit",
+          [](diagnosis::Data& data) {
+            for (model::PoseSample& pose : data.poses) {
+              pose.roll_rad = kDegrees * 0.03;
+              pose.pitch_rad = kDegrees * -0.01;
+            }
+          },
+          {kDegrees}};
+}
 inline MistakeMade heading_offset(double by_rad) {
   return {"heading off",
           "heading-offset",

@@ -174,6 +174,23 @@ TEST_F(DatasetTest, GroundTruthReplacesAMissingPosePrior) {
   EXPECT_TRUE(read(options).pose_prior.empty());
 }
 
+// The diagnosis names their unit; a single row is wrong.
+TEST_F(DatasetTest, TiltsOfMostRowsThatAreRightInDegreesAreKept) {
+  const std::string head = "t_s,x_m,y_m,z_m,yaw_rad,roll_rad,pitch_rad\n";
+  folder_.write("pose_prior.csv",
+                head + "0,1,2,0,0.1,3.5,-2.5\n0.1,1,2,0,0.1,1.2,0.4\n0.2,1,2,0,0.1,2.5,0.1\n");
+  Dataset data = read();
+  ASSERT_EQ(data.pose_prior.size(), 3U);
+  EXPECT_EQ(data.pose_prior[1].roll_rad, 1.2);
+  EXPECT_EQ(data.pose_prior[2].roll_rad, 2.5);
+  EXPECT_EQ(data.dropped.implausible, 0U);
+  folder_.write("pose_prior.csv",
+                head + "0,1,2,0,0.1,3.5,-2.5\n0.1,1,2,0,0.1,0.02,0\n0.2,1,2,0,0.1,0.03,0.1\n");
+  data = read();
+  EXPECT_EQ(data.pose_prior.size(), 2U);
+  EXPECT_EQ(data.dropped.implausible, 1U);
+}
+
 TEST_F(DatasetTest, OtherPosesReplaceThePrior) {
   folder_.write("other/slam.csv", "t_s,x_m,y_m,z_m,yaw_rad\n7,8,9,10,1.1\n");
   ReadOptions options;
