@@ -14,6 +14,7 @@
 #include <Eigen/Cholesky>
 #include <Eigen/Geometry>
 
+#include "host/diagnosis/slice_gain.hpp"
 #include "host/diagnosis/thresholds.hpp"
 #include "host/diagnosis/units.hpp"
 #include "host/model/pose.hpp"
@@ -59,23 +60,6 @@ double sigma_of(const RangeFit& fit, Eigen::Index parameter, double systematic) 
 
 std::string late(double offset_s) {
   return fmt::format("{:.3f} s {}", std::abs(offset_s), offset_s > 0.0 ? "late" : "early");
-}
-
-// Vuong's statistic: the mean of the slices' gains over the other fit, in its standard errors.
-double gain_in_sigmas(const RangeFit& fit, const RangeFit& other) {
-  double sum = 0.0;
-  double squares = 0.0;
-  double count = 0.0;
-  for (std::size_t i = 0; i < fit.slice_cost.size(); ++i) {
-    const double gain = other.slice_cost[i] - fit.slice_cost[i];
-    if (!std::isfinite(gain)) continue;
-    sum += gain;
-    squares += gain * gain;
-    count += 1.0;
-  }
-  if (count < 2.0) return 0.0;
-  const double variance = (squares - sum * sum / count) / (count - 1.0);
-  return sum / std::sqrt(std::max(variance * count, 1e-18));
 }
 
 // The clock offset under which a few ranges fit best, of a grid that is dense near zero. By hand: up to half
@@ -367,7 +351,7 @@ std::optional<Finding> find_likeliest(Data& data, const MakeScene& make_scene,
         hypothesis.correct(*fit, without_usual.emplace(data));
       }
       std::optional<Finding> finding = hypothesis.name(*fit);
-      if (!finding || gain_in_sigmas(*fit, trials.given()) < kLeastGainSigmas) continue;
+      if (!finding || gain_in_sigmas(fit->slice_cost, trials.given().slice_cost) < kLeastGainSigmas) continue;
       best = std::move(finding);
       best_gain = gain;
       corrected = changed ? *changed : data;

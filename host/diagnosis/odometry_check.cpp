@@ -19,6 +19,7 @@
 #include <Eigen/Geometry>
 
 #include "host/diagnosis/dead_reckoning.hpp"
+#include "host/diagnosis/slice_gain.hpp"
 #include "host/diagnosis/student.hpp"
 #include "host/diagnosis/thresholds.hpp"
 #include "host/diagnosis/units.hpp"
@@ -170,6 +171,7 @@ struct Estimate {
   Unknowns at = Comparison::neutral();
   Unknowns sigma = Unknowns::Zero();
   double cost = std::numeric_limits<double>::infinity();  // -log likelihood a window
+  std::vector<double> slice_cost;                         // of each slice; NaN: no window
   double turn_scale_rad = 1.0;
   double move_scale_m = 1.0;
 };
@@ -178,6 +180,11 @@ struct Estimate {
 constexpr double kLeastTurn_rad = 1e-4;
 constexpr double kLeastMove_m = 1e-4;
 
+// Of drift and bias, which at constant speed and turn are scales: by hand, far more than good clocks and
+// odometry have.
+const Unknowns kPriorInformation =
+    (Unknowns() << 0.0, 1.0 / (0.01 * 0.01), 0.0, 0.0, 0.0, 1.0 / (0.02 * 0.02)).finished();
+
 // -log likelihood a window with both scales profiled.
 void score(const Eigen::VectorXd& r, Estimate& out, int iterations) {
   const auto n = static_cast<std::size_t>(r.size() / 3);
@@ -185,14 +192,22 @@ void score(const Eigen::VectorXd& r, Estimate& out, int iterations) {
   const std::span<const double> moves(r.data() + n, 2 * n);
   out.turn_scale_rad = student_scale(turns, out.turn_scale_rad, kLeastTurn_rad, iterations);
   out.move_scale_m = student_scale(moves, out.move_scale_m, kLeastMove_m, iterations);
-  double sum = 0.0;
+  double sum = 0.5 * out.at.cwiseAbs2().dot(kPriorInformation);
   double count = 0.0;
+  std::vector<double> sums(kSlices, 0.0);
+  std::vector<double> counts(kSlices, 0.0);
   for (std::size_t i = 0; i < 3 * n; ++i) {
     const double residual = r(static_cast<Eigen::Index>(i));
     if (!std::isfinite(residual)) continue;
-    sum += student_cost(residual, i < n ? out.turn_scale_rad : out.move_scale_m);
+    const double cost = student_cost(residual, i < n ? out.turn_scale_rad : out.move_scale_m);
+    sum += cost;
     count += 1.0 / 3.0;
+    const std::size_t slice = (i < n ? i : (i - n) / 2) * kSlices / n;
+    sums[slice] += cost;
+    counts[slice] += 1.0 / 3.0;
   }
+  out.slice_cost.resize(kSlices);
+  for (std::size_t k = 0; k < sums.size(); ++k) out.slice_cost[k] = sums[k] / counts[k];
   out.cost = 2.0 * count < static_cast<double>(n) ? std::numeric_limits<double>::infinity() : sum / count;
 }
 
@@ -206,7 +221,7 @@ Unknowns steps_of(const Comparison& comparison) {
 }
 
 // Levenberg-Marquardt on the robust cost from a start.
-Estimate estimate(const Comparison& comparison, const Unknowns& start) {
+Estimate estimate(const Comparison& comparison, const Unknowns& start, bool with_clock = true) {
   Estimate best;
   best.at = start;
   Eigen::VectorXd r = comparison.residuals(start);
@@ -221,6 +236,10 @@ Estimate estimate(const Comparison& comparison, const Unknowns& start) {
     Eigen::MatrixXd j(r.size(), kUnknowns);
     for (Eigen::Index k = 0; k < kUnknowns; ++k) {
       const bool is_of_clock = k == kClock || k == kDrift;
+      if (is_of_clock && !with_clock) {
+        j.col(k).setZero();
+        continue;
+      }
       Unknowns moved = best.at;
       moved(k) += steps(k);
       j.col(k) = comparison.residuals(moved);
@@ -231,7 +250,7 @@ Estimate estimate(const Comparison& comparison, const Unknowns& start) {
         j.col(k) = (j.col(k) - r) / steps(k);
       }
     }
-    information = (1e-9 * steps.cwiseInverse().cwiseAbs2()).asDiagonal();
+    information = (kPriorInformation + 1e-9 * steps.cwiseInverse().cwiseAbs2()).asDiagonal();
     scores.setZero();
     for (Eigen::Index i = 0; i < r.size(); ++i) {
       if (!std::isfinite(r(i)) || !j.row(i).allFinite()) continue;
@@ -241,7 +260,7 @@ Estimate estimate(const Comparison& comparison, const Unknowns& start) {
       const Eigen::Index window = i < n ? i : (i - n) / 2;
       scores.col(window * kSlices / n) -= weight * r(i) * j.row(i).transpose();
     }
-    const Unknowns score_sum = scores.rowwise().sum();
+    const Unknowns score_sum = scores.rowwise().sum() - kPriorInformation.cwiseProduct(best.at);
     bool improved = false;
     double gained = 0.0;
     for (int attempt = 0; attempt < 8 && !improved; ++attempt) {
@@ -350,6 +369,20 @@ Estimate best_estimate(const Comparison& comparison, std::span<const Clock> cloc
     if (found.cost < best.cost) best = found;
   }
   return best;
+}
+
+// The estimate without a clock error, if the clock error is not certain: at constant speed and turn, odometry
+// that is shifted by any time may fit a little better, by its noise.
+Estimate without_uncertain_clock(const Comparison& comparison, const Estimate& best) {
+  Unknowns start = best.at;
+  start(kClock) = start(kDrift) = 0.0;
+  const Estimate still = estimate(comparison, start, false);
+  // In sigmas of the slices' gains (Vuong's test); by hand: of a clock nearby, and of the best of 600 lags.
+  constexpr double kNear = 2.0;
+  constexpr double kFar = 4.5;
+  const bool is_far =
+      std::abs(best.at(kClock)) + std::abs(0.5 * best.at(kDrift) * comparison.duration_s()) > kWindow_s;
+  return gain_in_sigmas(best.slice_cost, still.slice_cost) < (is_far ? kFar : kNear) ? still : best;
 }
 
 // Robust size of the windows' motion: the scale of residuals that compare it with nothing.
@@ -502,6 +535,7 @@ OdometryComparison compare_with_odometry(Data& data) {
     flips = tried;
   }
   if (!comparison) return {};
+  best = without_uncertain_clock(*comparison, best);
   const auto [turns_rad, moves_m] = motion_of(*comparison);
   // By hand: a robot that hardly moves shows nothing.
   constexpr double kLeastMotion_m = 0.05;

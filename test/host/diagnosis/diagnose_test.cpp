@@ -9,6 +9,7 @@
 
 #include "host/calibration/association.hpp"
 #include "test/host/diagnosis/mistakes.hpp"
+#include "test/support/random.hpp"
 #include "test/support/small_run.hpp"
 
 namespace groma::diagnosis {
@@ -183,6 +184,36 @@ TEST(Diagnose, WithSurveyedAnchorsAloneNamesNothing) {
   const model::Calibration calibration =
       model::surveyed_calibration(data.anchors, data.tags, data.priors, 0.02);
   EXPECT_THAT(causes_of(diagnose(std::move(data), calibration)), testing::IsEmpty());
+}
+
+// On a circle at constant speed nothing shows a clock, and a drift is a scale.
+TEST(Diagnose, ACircleAtConstantSpeedShowsTheScaleAndNoClock) {
+  constexpr double kSpeed_mps = 0.5;
+  constexpr double kRadius_m = 5.0;
+  for (const double noise : {0.0, 1.0}) {
+    for (const double scale : {1.0, 1.2}) {
+      test::Random random(11);
+      Data data;
+      for (double t_s = 0.0; t_s < 240.0; t_s += 0.05) {
+        const double turned_rad = kSpeed_mps / kRadius_m * t_s;
+        data.poses.push_back({.t_s = t_s,
+                              .x_m = kRadius_m * std::sin(turned_rad) + 0.005 * noise * random.gaussian(),
+                              .y_m = -kRadius_m * std::cos(turned_rad) + 0.005 * noise * random.gaussian(),
+                              .z_m = 0.0,
+                              .yaw_rad = model::wrap_angle(turned_rad + 0.002 * noise * random.gaussian())});
+        data.odometry.push_back({t_s, scale * kSpeed_mps + 0.02 * noise * random.gaussian(),
+                                 0.02 * noise * random.gaussian(),
+                                 kSpeed_mps / kRadius_m + 0.006 * noise * random.gaussian()});
+      }
+      const std::vector<Finding> findings = diagnose(std::move(data));
+      if (scale == 1.0) {
+        EXPECT_THAT(causes_of(findings), testing::IsEmpty()) << "noise " << noise;
+      } else {
+        ASSERT_THAT(causes_of(findings), testing::ElementsAre("odometry-scale")) << "noise " << noise;
+        EXPECT_NEAR(findings.front().value.front(), scale, 0.01);
+      }
+    }
+  }
 }
 
 TEST(Diagnose, OfNothingNamesNothing) {
