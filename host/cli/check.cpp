@@ -30,7 +30,7 @@ int run(const CheckOptions& options) {
   read.needs_pose_prior = false;
   read.ground_truth = false;
   read.odometry = !std::filesystem::is_directory(options.dataset) ||
-                  std::filesystem::exists(options.dataset / "odometry.csv");
+                  std::filesystem::exists(io::odometry_file(options.dataset));
   read.log_section = options.selection.section();
   io::Dataset dataset = io::read_dataset(options.dataset, read);
   Warnings warnings;

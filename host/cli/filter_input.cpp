@@ -151,7 +151,7 @@ FilterInput::Drive FilterInput::read(const char* command, StartIs start, Warning
 
 io::FilePlace FilterInput::odometry_place(double t_s) const {
   if (!std::filesystem::is_directory(dataset_)) return {dataset_};
-  const std::filesystem::path path = dataset_ / "odometry.csv";
+  const std::filesystem::path path = io::odometry_file(dataset_);
   const std::string text = io::read_file(path);
   io::CsvReader csv(path, text, {{"t_s"}});
   while (csv.next()) {

@@ -112,8 +112,8 @@ Json empty_json(const ReplayOptions& options, const FilterInput::Drive& drive,
 void expect_poses(const ReplayOptions& options, const FilterInput::Drive& drive,
                   const filter::ReplayResult& result) {
   if (result.rows.empty() && drive.options.knows_start) {
-    throw io::DataError({options.input.dataset() / "odometry.csv"}, "there is no odometry in the chosen time",
-                        "choose another --from and --to");
+    throw io::DataError({io::odometry_file(options.input.dataset())},
+                        "there is no odometry in the chosen time", "choose another --from and --to");
   }
   if (result.rows.empty()) {
     throw io::DataError({options.input.dataset()},

@@ -51,7 +51,7 @@ void write_report(const SmoothOptions& options, const FilterInput::Drive& drive,
 // Throws DataError if there are no poses, or some are not finite.
 void expect_poses(const SmoothOptions& options, const smoother::Result& result) {
   if (result.rows.empty()) {
-    throw io::DataError({options.input.dataset() / "odometry.csv"},
+    throw io::DataError({io::odometry_file(options.input.dataset())},
                         "there are fewer than two odometry samples in the chosen time",
                         "choose another --from and --to");
   }

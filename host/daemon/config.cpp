@@ -243,7 +243,7 @@ YamlType nodes_type() {
         false},
        {"serial", YamlType::text(), "Serial number of a USB device with a serial port.", false},
        {"baud", YamlType::integer(kMinBaud, kMaxBaud), "Bits per second of a serial port.", false}},
-      {{"path"}, {"serial"}}));
+      {{.of = {{"path"}, {"serial"}}}}));
 }
 
 YamlType robot_type() {
@@ -262,7 +262,7 @@ YamlType robot_type() {
        {"can", YamlType::text(), "Interface of the robot's CAN bus.", false},
        {"dbc", YamlType::text(), "DBC file of its messages.", false},
        {"signals", YamlType::map(std::move(signals)), "The signals of odometry and IMU.", false}},
-      {{"listen"}, {"can", "dbc", "signals"}}, /*combines=*/true);
+      {{.of = {{"listen"}, {"can", "dbc", "signals"}}, .combines = true}});
 }
 
 YamlType tags_type() {
@@ -318,8 +318,14 @@ void append_required(std::vector<ConfigKey>& keys) {
                   [](Yaml yaml, In in, Files&) { in.config.nodes = parse_nodes(yaml, in.folder); }});
   keys.push_back({{"tags", tags_type(), "The robot's tags."},
                   [](Yaml yaml, In in, Files&) { in.config.tags = parse_tags(yaml); }});
-  keys.push_back({{"odometry", io::odometry_noise_type(), "Standard deviations of an odometry sample."},
-                  [](Yaml yaml, In in, Files&) { in.config.odometry = io::parse_odometry_noise(yaml); }});
+  keys.push_back(
+      {{"odometry", io::odometry_noise_type(), "Standard deviations of an odometry sample.", false},
+       [](Yaml yaml, In in, Files&) { in.config.odometry = io::parse_odometry_noise(yaml); }});
+  keys.push_back({{"steering", io::steering_type(), "A car-like vehicle, in place of odometry.", false},
+                  [](Yaml yaml, In in, Files&) {
+                    in.config.odometry =
+                        model::noise_of(in.config.steering.emplace(io::parse_steering(yaml)));
+                  }});
   keys.push_back({{"range", io::range_priors_type(), "Noise of a range and priors of each pair."},
                   [](Yaml yaml, In in, Files&) { in.config.range = io::parse_range_priors(yaml); }});
   keys.push_back({{"surface", io::surface_type(), "The ground that the robot drives on."},
@@ -375,7 +381,8 @@ YamlType type_of(const std::vector<ConfigKey>& keys) {
   std::vector<io::YamlKey> all;
   all.reserve(keys.size());
   for (const ConfigKey& key : keys) all.push_back(key.key);
-  return YamlType::map(std::move(all), {{"robot_socket"}, {"robot"}}, /*combines=*/true);
+  return YamlType::map(std::move(all), {{.of = {{"robot_socket"}, {"robot"}}, .combines = true},
+                                        {.of = {{"odometry"}, {"steering"}}}});
 }
 
 // Errors in the order of their places in the file.
@@ -444,6 +451,7 @@ ConfigReading parse_config(const std::filesystem::path& path, const io::InputFil
     const std::vector<ConfigKey> keys = config_keys();
     for (const io::ConfigError& error : type_of(keys).key_errors_of(yaml)) errors.add(error);
     errors.attempt(yaml, [&] { expect_robot(yaml); });
+    errors.attempt(yaml, [&] { io::expect_odometry(yaml); });
     for (const ConfigKey& key : keys) {
       const auto value = yaml.find(key.key.name);
       if (!value) continue;

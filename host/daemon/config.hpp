@@ -14,6 +14,7 @@
 //   tags:                             # position of each tag's antenna in base_link
 //     - {id: 1, lever_arm_m: [0.3, 0.2, 0.6]}
 //   odometry: {sigma_vx_mps: 0.05, sigma_vy_mps: 0.05, sigma_omega_radps: 0.01}
+//                                     # or, for a car-like vehicle: steering: {wheelbase_m: 1.6}
 //   range: {sigma_m: 0.1, beta_m: [0.3, 0.5], gamma: [1.0, 0.005]}   # beta, gamma: [mean, sigma] a pair
 //   surface: {type: plane, z_m: 0.0, normal: [0, 0, 1]}              # or {type: bspline, file: surface.csv}
 //   calibration: {file: calibration.yaml}       # or {drive_s: 120, output: calibration.yaml}: from a drive
@@ -82,6 +83,7 @@ struct Config {
   std::optional<CanSignals> robot_can;
   std::vector<model::Tag> tags;
   model::OdometryNoise odometry;
+  std::optional<model::Steering> steering;
   model::RangePriors range;
   model::SensorDescription sensors;
   model::Surface surface;

@@ -62,6 +62,7 @@ void add_session(Text& text, const Session& session, std::uint64_t implausible) 
             {"sensor_out_of_order", counters.sensors_out_of_order},
             {"robot_time_wrong", counters.robot_time_wrong},
             {"robot_time_early", counters.robot_time_early},
+            {"steering_unknown", counters.steering_unknown},
             {"without_odometry", counters.without_odometry},
             {"implausible", implausible}});
   add_one(text, "groma_measurements_passed_late_total", "Measurements passed on out of order.",

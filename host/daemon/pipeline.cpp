@@ -29,7 +29,7 @@ Pipeline::Pipeline(const Config& config, Log log, Localizer::OnPose on_pose, Loc
       log_(std::move(log)),
       on_pose_(std::move(on_pose)),
       on_settled_(std::move(on_settled)),
-      session_({.reorder_lag_s = config.reorder_lag_s, .log = log_}) {
+      session_({.reorder_lag_s = config.reorder_lag_s, .vehicle = config.steering, .log = log_}) {
   for (const NodeLink& node : config.nodes) session_.add_node(node.path.string(), node.baud);
   node_reports_.resize(config.nodes.size());
   session_.attach(watch_);
@@ -136,8 +136,9 @@ Status Pipeline::status(double now_s) const {
   status.ranges = counters.ranges;
   status.frames_lost = session_.frames_lost();
   status.dropped = counters.dropped_late + counters.odometry_out_of_order + counters.sensors_out_of_order +
-                   counters.robot_time_wrong + counters.robot_time_early + counters.without_odometry +
-                   session_.robot_counters().dropped() + (localizer_ ? localizer_->implausible() : 0);
+                   counters.robot_time_wrong + counters.robot_time_early + counters.steering_unknown +
+                   counters.without_odometry + session_.robot_counters().dropped() +
+                   (localizer_ ? localizer_->implausible() : 0);
   if (const auto fault = session_.timestamp_fault(now_s)) {
     status.diagnosis.push_back({.cause = cause_name(fault->cause),
                                 .evidence = evidence(*fault),

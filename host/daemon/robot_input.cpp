@@ -61,6 +61,16 @@ std::optional<RobotMessage> read_odometry(const JsonView& object) {
   return sample;
 }
 
+std::optional<RobotMessage> read_steering(const JsonView& object) {
+  model::SteeringSample sample;
+  if (!read_number(object, "t_s", sample.t_s) || !read_number(object, "speed_mps", sample.speed_mps) ||
+      !read_number(object, "steering_rad", sample.steering_rad) ||
+      std::abs(sample.steering_rad) > model::kMostSteering_rad) {
+    return std::nullopt;
+  }
+  return sample;
+}
+
 // All keys except z_m.
 bool read_pose(const JsonView& object, model::PoseSample& out) {
   for (const auto& [key, value] : {std::pair{"roll_rad", &out.roll_rad}, {"pitch_rad", &out.pitch_rad}}) {
@@ -120,8 +130,10 @@ struct MessageClass {
   std::optional<RobotMessage> (*read)(const JsonView& object);
 };
 
-constexpr std::array<MessageClass, 6> kClasses{{
+constexpr std::array<MessageClass, 7> kClasses{{
     {"ODOMETRY", "finite t_s, vx_mps, vy_mps, omega_radps", &RobotInputCounters::odometry, read_odometry},
+    {"STEERING", "finite t_s, speed_mps, and a steering_rad within 1.5", &RobotInputCounters::odometry,
+     read_steering},
     {"POSE_PRIOR", "plausible t_s, x_m, y_m, z_m, yaw_rad; if given, a valid covariance of 36 terms",
      &RobotInputCounters::pose_priors, read_pose_prior},
     {"IMU", "finite t_s, omega_radps", &RobotInputCounters::sensors, read_imu},

@@ -1,16 +1,17 @@
 // The robot's input: JSON lines with odometry, pose priors and samples of other sensors.
 //
 //   {"class":"ODOMETRY","t_s":12.02,"vx_mps":0.8,"vy_mps":0.0,"omega_radps":0.1}
+//   {"class":"STEERING","t_s":12.02,"speed_mps":0.8,"steering_rad":0.1}
 //   {"class":"POSE_PRIOR","t_s":12.0,"x_m":1.0,"y_m":2.0,"z_m":0.0,"yaw_rad":0.5}
 //   {"class":"IMU","t_s":12.01,"omega_radps":0.1}
 //   {"class":"GNSS","t_s":12.0,"x_m":1.0,"y_m":2.0,"covariance":[1.0,0.0,0.0,1.0]}
 //   {"class":"ABSOLUTE_POSE","t_s":12.0,"x_m":1.0,"y_m":2.0,"yaw_rad":0.5,"covariance":[...]}
 //   {"class":"ZERO_VELOCITY","t_s":12.0}
 //
-// A pose may have roll_rad and pitch_rad; yaw_rad is then the ZYX yaw. It may have a covariance as in the
-// pose stream: 36 numbers, row by row, of x, y, z, roll, pitch, yaw; null is unknown. Only x, y and yaw are
-// used. An absolute pose requires a covariance and needs no z_m. The covariance of a GNSS position is that
-// of x and y, row by row. Other keys are ignored.
+// STEERING is the odometry of a car-like vehicle. A pose may have roll_rad and pitch_rad; yaw_rad is then the
+// ZYX yaw. It may have a covariance as in the pose stream: 36 numbers, row by row, of x, y, z, roll, pitch,
+// yaw; null is unknown. Only x, y and yaw are used. An absolute pose requires a covariance and needs no z_m.
+// The covariance of a GNSS position is that of x and y, row by row. Other keys are ignored.
 #pragma once
 
 #include <cstddef>
@@ -22,16 +23,18 @@
 #include <variant>
 
 #include "host/model/state_archive.hpp"
+#include "host/model/steering.hpp"
 #include "host/model/types.hpp"
 
 namespace groma::daemon {
 
 // A PoseSample is a pose prior; an absolute pose is a SensorSample.
-using RobotMessage = std::variant<model::OdometrySample, model::PoseSample, model::SensorSample>;
+using RobotMessage =
+    std::variant<model::OdometrySample, model::SteeringSample, model::PoseSample, model::SensorSample>;
 
 // Each line is counted in exactly one of these.
 struct RobotInputCounters {
-  std::uint64_t odometry = 0;
+  std::uint64_t odometry = 0;  // and steering
   std::uint64_t pose_priors = 0;
   std::uint64_t sensors = 0;        // the other classes
   std::uint64_t torn = 0;           // not a JSON object, or longer than kMaxLine bytes

@@ -246,6 +246,14 @@ bool Session::accepts(SensorTimes& times, double t_s, double now_s) {
   return true;
 }
 
+void Session::take(const model::SteeringSample& sample, double now_s) {
+  if (config_.vehicle) return take(model::to_odometry(sample, *config_.vehicle), now_s);
+  if (counters_.steering_unknown++ == 0) {
+    say("robot: STEERING is dropped, because the configuration has no 'steering'; give it the vehicle's "
+        "wheelbase_m");
+  }
+}
+
 void Session::take(const model::PoseSample& pose, double now_s) {
   if (accepts(pose_times_, pose.t_s, now_s)) enqueue(pose.t_s, pose);
 }

@@ -51,6 +51,8 @@ struct SessionConfig {
   double clock_set_after_s = 1.0;
   // At most this many measurements wait; beyond that the earliest are passed on at once.
   std::size_t max_waiting = 16384;
+  // A car-like vehicle, whose odometry is its steering; without it steering samples are dropped.
+  std::optional<model::Steering> vehicle = std::nullopt;
   // Receives one line for each event that a user should know of; may be empty.
   std::function<void(std::string_view)> log = {};
 };
@@ -68,6 +70,7 @@ struct SessionCounters {
   std::uint64_t robot_time_wrong = 0;       // dropped
   std::uint64_t robot_time_early = 0;       // dropped
   std::uint64_t robot_clock_set = 0;        // clock steps and restarts
+  std::uint64_t steering_unknown = 0;       // steering samples without SessionConfig::vehicle: dropped
   std::uint64_t without_odometry = 0;       // before the first odometry gave the robot's time: dropped
   std::uint64_t waiting_overflows = 0;      // passed on before their wait was over
 };
@@ -194,6 +197,7 @@ class Session {
 
   [[nodiscard]] RobotInput& robot_input(std::size_t robot);
   void take(const model::OdometrySample& odometry, double now_s);
+  void take(const model::SteeringSample& sample, double now_s);
   void take(const model::PoseSample& pose, double now_s);
   void take(const model::SensorSample& sample, double now_s);
   void take(model::RangeSample range);

@@ -219,13 +219,40 @@ std::vector<model::RangeSample> parse_ranges(const std::filesystem::path& path, 
   return ranges;
 }
 
-std::vector<model::OdometrySample> parse_odometry(const std::filesystem::path& path, std::string_view text,
-                                                  DroppedRows& dropped) {
+constexpr const char* kOdometryFile = "odometry.csv";
+constexpr const char* kSteeringFile = "steering.csv";
+
+std::vector<model::OdometrySample> parse_velocities(const std::filesystem::path& path,
+                                                    std::string_view text) {
   CsvReader csv(path, text, {{"t_s"}, {"vx_mps"}, {"vy_mps"}, {"omega_radps"}});
   std::vector<model::OdometrySample> odometry;
   while (csv.next()) odometry.push_back({csv.number(0), csv.number(1), csv.number(2), csv.number(3)});
-  put_in_order(odometry, dropped);
   return odometry;
+}
+
+std::vector<model::OdometrySample> parse_steering(const std::filesystem::path& path, std::string_view text,
+                                                  const model::Steering& vehicle) {
+  CsvReader csv(path, text, {{"t_s"}, {"speed_mps"}, {"steering_rad"}});
+  std::vector<model::OdometrySample> odometry;
+  while (csv.next()) {
+    const model::SteeringSample sample{csv.number(0), csv.number(1), csv.number(2)};
+    if (!(std::abs(sample.steering_rad) <= model::kMostSteering_rad)) {
+      throw DataError(csv.row_place(), fmt::format("{} rad is no steering angle", sample.steering_rad),
+                      "give the angle of the front wheel in radians, positive to the left");
+    }
+    odometry.push_back(model::to_odometry(sample, vehicle));
+  }
+  return odometry;
+}
+
+std::filesystem::path odometry_file(const std::filesystem::path& folder, const Dataset& dataset) {
+  return folder / (dataset.steering ? kSteeringFile : kOdometryFile);
+}
+
+void parse_odometry(const std::filesystem::path& path, std::string_view text, Dataset& dataset) {
+  dataset.odometry =
+      dataset.steering ? parse_steering(path, text, *dataset.steering) : parse_velocities(path, text);
+  put_in_order(dataset.odometry, dataset.dropped);
 }
 
 // Implausible rows are dropped; if they are half of all rows or more, the file is wrong: finish() throws.
@@ -417,14 +444,21 @@ void read_sensors(const std::filesystem::path& folder, InputFiles& files, Datase
 
 void parse_description(const YamlValue& yaml, const std::filesystem::path& folder, InputFiles& files,
                        Dataset& dataset) {
-  yaml.expect_keys({{"schema", "name", "origin", "odometry", "range", "surface"}, {"imu", "gnss"}});
+  yaml.expect_keys(
+      {{"schema", "name", "origin", "range", "surface"}, {"odometry", "steering", "imu", "gnss"}});
+  expect_odometry(yaml);
   if (yaml.at("schema").integer(0, std::numeric_limits<std::int64_t>::max()) != 1) {
     yaml.at("schema").fail("is not 1", "this program reads schema 1 only");
   }
   dataset.name = yaml.at("name").text();
   dataset.origin = kOrigins.at(yaml.at("origin").one_of(kOrigins));
 
-  dataset.odometry_noise = parse_odometry_noise(yaml.at("odometry"));
+  if (const auto steering = yaml.find("steering")) {
+    dataset.steering = parse_steering(*steering);
+    dataset.odometry_noise = model::noise_of(*dataset.steering);
+  } else {
+    dataset.odometry_noise = parse_odometry_noise(yaml.at("odometry"));
+  }
   dataset.range_priors = parse_range_priors(yaml.at("range"));
   dataset.sensors = parse_sensors(yaml);
   dataset.surface = parse_surface(yaml.at("surface"), folder, files);
@@ -524,8 +558,8 @@ Dataset read_dataset(const std::filesystem::path& path, const ReadOptions& optio
                                 with_anchors ? &dataset.surveyed_anchors : nullptr, dataset);
 
   if (options.odometry) {
-    const std::filesystem::path odometry = folder / "odometry.csv";
-    dataset.odometry = parse_odometry(odometry, files.read(odometry), dataset.dropped);
+    const std::filesystem::path odometry = odometry_file(folder, dataset);
+    parse_odometry(odometry, files.read(odometry), dataset);
   }
 
   if (options.sensors) read_sensors(folder, files, dataset);
@@ -555,10 +589,15 @@ std::vector<model::PoseSample> read_poses(const std::filesystem::path& path, Dro
   return parse_poses(path, read_file(path), dropped);
 }
 
-std::vector<model::OdometrySample> read_odometry(const std::filesystem::path& folder, DroppedRows& dropped) {
-  const std::filesystem::path path = folder / "odometry.csv";
-  if (!std::filesystem::exists(path)) return {};
-  return parse_odometry(path, read_file(path), dropped);
+std::filesystem::path odometry_file(const std::filesystem::path& folder) {
+  const bool is_car =
+      !std::filesystem::exists(folder / kOdometryFile) && std::filesystem::exists(folder / kSteeringFile);
+  return folder / (is_car ? kSteeringFile : kOdometryFile);
+}
+
+void read_odometry(const std::filesystem::path& folder, Dataset& dataset) {
+  const std::filesystem::path path = odometry_file(folder, dataset);
+  if (std::filesystem::exists(path)) parse_odometry(path, read_file(path), dataset);
 }
 
 std::vector<model::AnchorRange> read_survey(const std::filesystem::path& path, DroppedRows& dropped) {

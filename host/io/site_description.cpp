@@ -327,6 +327,35 @@ model::OdometryNoise parse_odometry_noise(const YamlValue& yaml) {
           yaml.at("sigma_omega_radps").number()};
 }
 
+YamlType steering_type() {
+  return YamlType::map(
+      {{"wheelbase_m", YamlType::positive(), "From the rear axle to the front one, m."},
+       {"rear_axle_x_m", YamlType::number(), "Place of the rear axle along base_link's x, m.", false},
+       {"sigma_speed_mps", YamlType::positive(), "Of the wheel speed, m/s.", false},
+       {"sigma_steering_rad", YamlType::positive(), "Of the steering angle, rad.", false},
+       {"sigma_side_mps", YamlType::positive(), "Of the rear axle's sideways slip, m/s.", false}});
+}
+
+model::Steering parse_steering(const YamlValue& yaml) {
+  steering_type().expect(yaml);
+  model::Steering out{.wheelbase_m = yaml.at("wheelbase_m").number()};
+  const auto take = [&](std::string_view key, double& value) {
+    if (const auto given = yaml.find(key)) value = given->number();
+  };
+  take("rear_axle_x_m", out.rear_axle_x_m);
+  take("sigma_speed_mps", out.sigma_speed_mps);
+  take("sigma_steering_rad", out.sigma_steering_rad);
+  take("sigma_side_mps", out.sigma_side_mps);
+  return out;
+}
+
+void expect_odometry(const YamlValue& yaml) {
+  const bool has_both = yaml.find("odometry") && yaml.find("steering");
+  if (!has_both && (yaml.find("odometry") || yaml.find("steering"))) return;
+  yaml.fail(has_both ? "has both 'odometry' and 'steering'" : "has neither 'odometry' nor 'steering'",
+            "give 'steering' for a car-like vehicle that reports its steering angle, else 'odometry'");
+}
+
 YamlType imu_type() {
   return YamlType::map(
       {{"sigma_omega_radps", YamlType::positive(), "White noise of the yaw rate, rad/s.", false},

@@ -12,6 +12,7 @@
 #include "host/io/yaml_reader.hpp"
 #include "host/io/yaml_type.hpp"
 #include "host/model/anchor_parameters.hpp"
+#include "host/model/steering.hpp"
 #include "host/model/surface.hpp"
 #include "host/model/surface_fit.hpp"
 #include "host/model/types.hpp"
@@ -21,6 +22,7 @@ namespace groma::io {
 // The types of these parts. Each parse function accepts what its type allows, within further rules.
 [[nodiscard]] YamlType surface_type();
 [[nodiscard]] YamlType odometry_noise_type();
+[[nodiscard]] YamlType steering_type();
 [[nodiscard]] YamlType imu_type();
 [[nodiscard]] YamlType gnss_type();
 [[nodiscard]] YamlType range_priors_type();
@@ -37,6 +39,12 @@ namespace groma::io {
 
 // {sigma_vx_mps: ..., sigma_vy_mps: ..., sigma_omega_radps: ...}. Throws ConfigError.
 [[nodiscard]] model::OdometryNoise parse_odometry_noise(const YamlValue& yaml);
+
+// {wheelbase_m: ...}, and optionally rear_axle_x_m and the sigmas of model::Steering. Throws ConfigError.
+[[nodiscard]] model::Steering parse_steering(const YamlValue& yaml);
+
+// Throws ConfigError unless the map has either `odometry` or `steering`.
+void expect_odometry(const YamlValue& yaml);
 
 // {sigma_omega_radps: ..., bias_sigma_radps: ...}, each optional. Throws ConfigError.
 void parse_imu(const YamlValue& yaml, model::SensorDescription& out);

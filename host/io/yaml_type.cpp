@@ -86,13 +86,11 @@ YamlType YamlType::list(YamlType entries) {
   return type;
 }
 
-YamlType YamlType::map(std::vector<YamlKey> keys, std::vector<std::vector<std::string>> choices,
-                       bool combines) {
+YamlType YamlType::map(std::vector<YamlKey> keys, std::vector<Choice> choices) {
   YamlType type;
   type.kind = Kind::kMap;
   type.keys = std::move(keys);
   type.choices = std::move(choices);
-  type.combines = combines;
   return type;
 }
 
@@ -228,8 +226,11 @@ nlohmann::ordered_json YamlType::schema() const {
   }
   out["type"] = "object";
   out["additionalProperties"] = false;
-  for (const std::vector<std::string>& names : choices)
-    out[combines ? "anyOf" : "oneOf"].push_back({{"required", names}});
+  for (const Choice& choice : choices) {
+    Json& demand = choices.size() == 1 ? out : out["allOf"].emplace_back();
+    for (const std::vector<std::string>& names : choice.of)
+      demand[choice.combines ? "anyOf" : "oneOf"].push_back({{"required", names}});
+  }
   for (const YamlKey& key : keys) {
     if (key.required) out["required"].push_back(key.name);
     Json& property = out["properties"][key.name] = key.type.schema();

@@ -24,7 +24,7 @@ struct YamlType {
     kSwitch,   // true or false
     kNumber,   // finite, from `min` to `max`; without `with_min`: above `min`
     kInteger,  // from `min` to `max`
-    kMap,      // with `keys`; with all keys of one of `choices`, if there are any
+    kMap,      // with `keys`; with what each of `choices` demands
     kTextOr,   // a text, or `of.front()`
     kVariant,  // one of the maps `of`: each has the key `type`, which takes a single word
     kList,     // of `of.front()`; `size` entries, 0: any number
@@ -38,8 +38,12 @@ struct YamlType {
   std::vector<std::string> words;
   std::vector<YamlKey> keys;
   std::vector<YamlType> of;
-  std::vector<std::vector<std::string>> choices;  // optional keys, for the schema; the parser checks them
-  bool combines = false;                          // several of `choices` may be given
+  // All keys of one of these sets of optional keys: for the schema; the parser checks them.
+  struct Choice {
+    std::vector<std::vector<std::string>> of;
+    bool combines = false;  // several sets may be given
+  };
+  std::vector<Choice> choices;
 
   [[nodiscard]] static YamlType text();
   [[nodiscard]] static YamlType word(std::vector<std::string> words);
@@ -50,9 +54,7 @@ struct YamlType {
   [[nodiscard]] static YamlType integer(std::int64_t min, std::int64_t max);
   [[nodiscard]] static YamlType numbers(std::size_t size);
   [[nodiscard]] static YamlType list(YamlType entries);
-  [[nodiscard]] static YamlType map(std::vector<YamlKey> keys,
-                                    std::vector<std::vector<std::string>> choices = {},
-                                    bool combines = false);
+  [[nodiscard]] static YamlType map(std::vector<YamlKey> keys, std::vector<Choice> choices = {});
   [[nodiscard]] static YamlType text_or(YamlType other);
   [[nodiscard]] static YamlType variant(std::vector<YamlType> maps);
 

@@ -22,7 +22,10 @@ std::span<const std::uint8_t> bytes_of(const std::string& text) {
 }  // namespace
 
 LockStep::LockStep(const sim::Scenario& scenario, const SiteOptions& options)
-    : site_(scenario, options), robot_(site_.world().robot()) {
+    : site_(scenario, options),
+      robot_(site_.world().robot()),
+      session_(
+          {.vehicle = scenario.odometry.car ? std::optional(scenario.odometry.car->vehicle) : std::nullopt}) {
   for (std::size_t i = 0; i < site_.port_count(); ++i) {
     Tag tag;
     link::OpenedLink opened = link::open_link(tag.port.path(), scenario.link.bit_per_s);

@@ -29,7 +29,12 @@ void RobotFeed::lines_until(double t_s, std::string& out) {
     const double odometry_s = time_of(next_odometry_, robot_.odometry_options().rate_hz);
     const double prior_s = time_of(next_prior_, robot_.pose_prior_options().rate_hz);
     if (odometry_s > t_s && prior_s > t_s) return;
-    if (odometry_s <= prior_s) {
+    if (odometry_s <= prior_s && robot_.odometry_options().car) {
+      const model::SteeringSample sample = robot_.steering(next_odometry_++);
+      fmt::format_to(std::back_inserter(out),
+                     "{{\"class\":\"STEERING\",\"t_s\":{},\"speed_mps\":{},\"steering_rad\":{}}}\n",
+                     sample.t_s, sample.speed_mps, sample.steering_rad);
+    } else if (odometry_s <= prior_s) {
       const model::OdometrySample sample = robot_.odometry(next_odometry_++);
       fmt::format_to(std::back_inserter(out),
                      "{{\"class\":\"ODOMETRY\",\"t_s\":{},\"vx_mps\":{},\"vy_mps\":{},\"omega_radps\":{}}}\n",

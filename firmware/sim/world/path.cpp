@@ -15,6 +15,9 @@ namespace {
 constexpr double kKnot_s = 0.1;
 constexpr double kStep_m = 0.01;  // between points of the geometric path
 constexpr double kStopAtEnds_s = 1.0;
+// A car's path doubles back at a corner that is this close to a half turn. It stops there to change gear.
+constexpr double kDoublesBack_rad = 0.05;
+constexpr double kGearChange_s = 1.0;
 
 struct Point {
   double x_m;
@@ -32,6 +35,8 @@ double wrapped(double angle_rad) {
 struct Geometry {
   std::vector<Point> points;
   std::vector<std::size_t> waypoints;
+  std::vector<std::size_t> gear_changes;  // numbers of waypoints
+  double least_radius_m = std::numeric_limits<double>::infinity();
 };
 
 void append_leg(std::vector<Point>& points, const Eigen::Vector2d& to) {
@@ -66,7 +71,7 @@ void append_arc(std::vector<Point>& points, double tangent_rad, double turn_rad,
   }
 }
 
-Geometry round_corners(const std::vector<Waypoint>& stations, double radius_m) {
+Geometry round_corners(const std::vector<Waypoint>& stations, double radius_m, Drive drive) {
   std::vector<Eigen::Vector2d> corners;
   corners.reserve(stations.size());
   for (const Waypoint& station : stations) corners.emplace_back(station.x_m, station.y_m);
@@ -84,12 +89,21 @@ Geometry round_corners(const std::vector<Waypoint>& stations, double radius_m) {
     const Eigen::Vector2d on = corners[i + 1] - corners[i];
     const double tangent = std::atan2(in.y(), in.x());
     const double turn = wrapped(std::atan2(on.y(), on.x()) - tangent);
+    if (drive == Drive::kCar && std::abs(turn) > std::numbers::pi - kDoublesBack_rad) {
+      append_leg(out.points, corners[i]);
+      out.gear_changes.push_back(i);
+      out.waypoints.push_back(out.points.size() - 1);
+      continue;
+    }
     const double cut_per_radius = std::tan(std::min(std::abs(turn), 0.99 * std::numbers::pi) / 2.0);
     const double most_m = 0.499 * std::min(in.norm(), on.norm());
     const double cut_m = std::min(radius_m * cut_per_radius, most_m);
     append_leg(out.points, corners[i] - cut_m * in.normalized());
     std::size_t at = out.points.size() - 1;
-    if (cut_per_radius > 1e-6) append_arc(out.points, tangent, turn, cut_m / cut_per_radius, at);
+    if (cut_per_radius > 1e-6) {
+      append_arc(out.points, tangent, turn, cut_m / cut_per_radius, at);
+      out.least_radius_m = std::min(out.least_radius_m, cut_m / cut_per_radius);
+    }
     out.waypoints.push_back(at);
   }
   return out;
@@ -103,10 +117,15 @@ std::vector<double> headings(const Geometry& path, const std::vector<Waypoint>& 
   for (std::size_t i = 0; i < waypoints.size(); ++i) {
     if (waypoints[i].yaw_rad) named.push_back(i);
   }
-  if (drive == Drive::kDifferential || named.empty()) {
+  if (drive != Drive::kOmnidirectional || named.empty()) {
     theta[0] = points[0].tangent_rad;
+    auto change = path.gear_changes.begin();
+    double behind_rad = 0.0;  // half a turn in reverse
     for (std::size_t i = 1; i < points.size(); ++i) {
-      theta[i] = theta[i - 1] + wrapped(points[i].tangent_rad - theta[i - 1]);
+      theta[i] = theta[i - 1] + wrapped(points[i].tangent_rad + behind_rad - theta[i - 1]);
+      if (change == path.gear_changes.end() || i < path.waypoints[*change]) continue;
+      behind_rad = std::numbers::pi - behind_rad;
+      ++change;
     }
     return theta;
   }
@@ -205,9 +224,13 @@ Basis basis(double t) {
 
 }  // namespace
 
-Path::Path(const std::vector<Waypoint>& waypoints, const PathOptions& options) : loop_(options.loop) {
-  const std::vector<Waypoint> stations = loop_ ? closed(waypoints, options.drive) : waypoints;
-  const Geometry geometry = round_corners(stations, options.corner_radius_m);
+Path::Path(const std::vector<Waypoint>& waypoints, const PathOptions& options)
+    : least_radius_m_(std::numeric_limits<double>::infinity()), loop_(options.loop) {
+  std::vector<Waypoint> stations = loop_ ? closed(waypoints, options.drive) : waypoints;
+  const Geometry geometry = round_corners(stations, options.corner_radius_m, options.drive);
+  for (const std::size_t i : geometry.gear_changes)
+    stations[i].stop_s = std::max(stations[i].stop_s, kGearChange_s);
+  least_radius_m_ = geometry.least_radius_m;
   const std::vector<double> theta = headings(geometry, stations, options.drive);
   const std::vector<double> speed = speeds(geometry, theta, stations, options);
   const Timing time = timing(geometry, speed, stations);

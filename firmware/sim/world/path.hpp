@@ -14,10 +14,11 @@ struct Waypoint {
   double stop_s = 0.0;            // duration of a stop; 0: none
 };
 
-enum class Drive { kDifferential, kOmnidirectional };
+// A car turns around by reversing: where its path doubles back, it stops and drives on in the other gear.
+enum class Drive { kDifferential, kOmnidirectional, kCar };
 
 struct PathOptions {
-  Drive drive = Drive::kDifferential;  // differential: the heading follows the path
+  Drive drive = Drive::kDifferential;  // differential and car: the heading follows the path
   double max_speed_mps = 1.0;
   double max_acceleration_mps2 = 0.5;  // along the path, and centripetal
   double max_yaw_rate_radps = 0.6;
@@ -47,6 +48,8 @@ class Path {
   [[nodiscard]] double duration_s() const noexcept;
   // When the robot passes each waypoint, or leaves it after a stop; for the last one: when it arrives.
   [[nodiscard]] const std::vector<double>& waypoint_times_s() const noexcept { return waypoint_times_s_; }
+  // Of the corners; infinite if there are none.
+  [[nodiscard]] double least_radius_m() const noexcept { return least_radius_m_; }
   // Before the start and after the end of the path the robot is stationary; a looping path repeats.
   [[nodiscard]] PlanarMotion at(double t_s) const noexcept;
 
@@ -58,6 +61,7 @@ class Path {
   };
   std::vector<Knot> knots_;
   std::vector<double> waypoint_times_s_;
+  double least_radius_m_;
   bool loop_ = false;
 };
 

@@ -10,7 +10,17 @@ namespace groma::sim {
 
 namespace {
 
-enum Purpose : std::uint64_t { kScale, kYawRateBias, kOdometryRow, kPriorRow, kPriorX, kPriorY, kPriorYaw };
+enum Purpose : std::uint64_t {
+  kScale,
+  kYawRateBias,
+  kOdometryRow,
+  kPriorRow,
+  kPriorX,
+  kPriorY,
+  kPriorYaw,
+  kWheelbase,
+  kSteeringOffset,
+};
 
 // Gauss-Legendre quadrature, three points on (0, 1).
 constexpr std::array<double, 3> kNodes = {0.11270166537925831, 0.5, 0.88729833462074169};
@@ -54,7 +64,7 @@ model::PoseSample Robot::truth(double t_s) const noexcept {
   return sample;
 }
 
-model::OdometrySample Robot::odometry(std::uint64_t k) const {
+model::OdometrySample Robot::mean_velocity(std::uint64_t k) const {
   const double interval_s = 1.0 / odometry_.rate_hz;
   model::OdometrySample row;
   row.t_s = static_cast<double>(k) / odometry_.rate_hz;
@@ -64,12 +74,41 @@ model::OdometrySample Robot::odometry(std::uint64_t k) const {
     row.vy_mps += kWeights[i] * v.vy_mps;
     row.omega_radps += kWeights[i] * v.omega_radps;
   }
+  for (const WheelSlip& slip : odometry_.slips) {
+    if (row.t_s < slip.from_s || row.t_s >= slip.to_s) continue;
+    row.vx_mps *= slip.scale;
+    row.vy_mps *= slip.scale;
+  }
+  return row;
+}
+
+model::OdometrySample Robot::odometry(std::uint64_t k) const {
+  if (odometry_.car) return model::to_odometry(steering(k), odometry_.car->vehicle);
+  model::OdometrySample row = mean_velocity(k);
   const double scale = 1.0 + random_.of(kScale).normal(0.0, odometry_.scale_sigma);
   const double bias_radps = random_.of(kYawRateBias).normal(0.0, odometry_.yaw_rate_bias_sigma_radps);
   const KeyedRandom white = random_.of(kOdometryRow, k);
   row.vx_mps = scale * row.vx_mps + white.of(0).normal(0.0, odometry_.noise.sigma_vx_mps);
   row.vy_mps = scale * row.vy_mps + white.of(1).normal(0.0, odometry_.noise.sigma_vy_mps);
   row.omega_radps += bias_radps + white.of(2).normal(0.0, odometry_.noise.sigma_omega_radps);
+  return row;
+}
+
+model::SteeringSample Robot::steering(std::uint64_t k) const {
+  constexpr double kStands_mps = 1e-3;
+  const CarOdometryOptions& car = *odometry_.car;
+  const model::OdometrySample moved = mean_velocity(k);
+  const double wheelbase_m =
+      car.vehicle.wheelbase_m * (1.0 + random_.of(kWheelbase).normal(0.0, car.wheelbase_scale_sigma));
+  const double rolled_rad =
+      std::abs(moved.vx_mps) < kStands_mps ? 0.0 : std::atan(moved.omega_radps * wheelbase_m / moved.vx_mps);
+  const KeyedRandom white = random_.of(kOdometryRow, k);
+  model::SteeringSample row{.t_s = moved.t_s};
+  row.speed_mps = moved.vx_mps * (1.0 + random_.of(kScale).normal(0.0, odometry_.scale_sigma)) +
+                  white.of(0).normal(0.0, car.vehicle.sigma_speed_mps);
+  row.steering_rad = rolled_rad * (1.0 + car.understeer_s2pm2 * moved.vx_mps * moved.vx_mps) +
+                     random_.of(kSteeringOffset).normal(0.0, car.steering_offset_sigma_rad) +
+                     white.of(1).normal(0.0, car.vehicle.sigma_steering_rad);
   return row;
 }
 

@@ -2,20 +2,42 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
+#include <vector>
 
 #include "firmware/sim/keyed_random.hpp"
 #include "firmware/sim/world/path.hpp"
 #include "host/model/pose.hpp"
+#include "host/model/steering.hpp"
 #include "host/model/surface.hpp"
 #include "host/model/types.hpp"
 
 namespace groma::sim {
 
+// A car's odometry: wheel speed and steering angle, with the vehicle as it is configured. base_link is at the
+// rear axle.
+struct CarOdometryOptions {
+  model::Steering vehicle;
+  double wheelbase_scale_sigma = 0.01;       // of the true wheelbase over the configured one, constant
+  double steering_offset_sigma_rad = 0.002;  // of the constant error of the angle
+  // In a curve the front wheels slip: the angle is 1 + understeer_s2pm2 v^2 times that of the bicycle model.
+  double understeer_s2pm2 = 0.02;
+};
+
+// The wheels spin or slide: for a while the speed that they show is the true one times `scale`.
+struct WheelSlip {
+  double from_s = 0.0;
+  double to_s = 0.0;
+  double scale = 1.0;
+};
+
 struct OdometryOptions {
   double rate_hz = 50.0;
   model::OdometryNoise noise{0.02, 0.02, 0.006};
   double scale_sigma = 0.01;                 // of the constant factor on both velocities
-  double yaw_rate_bias_sigma_radps = 0.001;  // of the constant bias
+  double yaw_rate_bias_sigma_radps = 0.001;  // of the constant bias; not of a car
+  std::optional<CarOdometryOptions> car{};
+  std::vector<WheelSlip> slips{};
 };
 
 struct PosePriorOptions {
@@ -46,7 +68,10 @@ class Robot {
 
   // Sample k holds from k / rate to (k + 1) / rate: the mean velocity over its interval, with noise, scale
   // and bias.
+  // A car's is that of its steering() by model::to_odometry().
   [[nodiscard]] model::OdometrySample odometry(std::uint64_t k) const;
+  // The same sample of a car.
+  [[nodiscard]] model::SteeringSample steering(std::uint64_t k) const;
   // Sample k is the pose at k / rate with the noise of PosePriorOptions, as from another localization system.
   [[nodiscard]] model::PoseSample pose_prior(std::uint64_t k) const;
 
@@ -56,6 +81,9 @@ class Robot {
   [[nodiscard]] const model::Surface& ground() const noexcept { return ground_; }
 
  private:
+  // The mean over the interval of sample k, without errors but slips.
+  [[nodiscard]] model::OdometrySample mean_velocity(std::uint64_t k) const;
+
   model::Surface ground_;
   Path path_;
   OdometryOptions odometry_;

@@ -20,6 +20,9 @@ struct DriveLeg {
   std::vector<Waypoint> waypoints;
 };
 
+// All drives as one path. The robot stops between two drives, so that they can be distinguished.
+[[nodiscard]] std::vector<Waypoint> joined(const std::vector<DriveLeg>& drives);
+
 // The distribution of the biases z = gamma d + beta of each pair of tag and anchor: Gaussian; beta is
 // truncated.
 struct BiasOptions {

@@ -14,6 +14,7 @@
 #include "firmware/sim/world/uneven_ground.hpp"
 #include "host/io/input_file.hpp"
 #include "host/io/yaml_reader.hpp"
+#include "host/model/steering.hpp"
 
 namespace groma::sim {
 
@@ -229,15 +230,34 @@ BiasOptions parse_biases(const YamlValue& map) {
   return biases;
 }
 
-PathOptions parse_robot(const YamlValue& map) {
-  map.expect_keys(
-      {{},
-       {"drive", "max_speed_mps", "max_acceleration_mps2", "max_yaw_rate_radps", "corner_radius_m", "loop"}});
-  PathOptions options;
+struct RobotOptions {
+  PathOptions path;
+  double wheelbase_m = 1.6;
+  double max_steering_rad = 0.7;
+
+  [[nodiscard]] bool is_car() const noexcept { return path.drive == Drive::kCar; }
+};
+
+RobotOptions parse_robot(const YamlValue& map) {
+  map.expect_keys({{},
+                   {"drive", "max_speed_mps", "max_acceleration_mps2", "max_yaw_rate_radps",
+                    "corner_radius_m", "loop", "wheelbase_m", "max_steering_rad"}});
+  RobotOptions robot;
+  PathOptions& options = robot.path;
   if (const auto drive = map.find("drive")) {
-    options.drive = drive->one_of(std::array<std::string_view, 2>{"differential", "omnidirectional"}) == 0
-                        ? Drive::kDifferential
-                        : Drive::kOmnidirectional;
+    constexpr std::array<Drive, 3> kDrives{Drive::kDifferential, Drive::kOmnidirectional, Drive::kCar};
+    options.drive =
+        kDrives.at(drive->one_of(std::array<std::string_view, 3>{"differential", "omnidirectional", "car"}));
+  }
+  for (const char* key : {"wheelbase_m", "max_steering_rad"}) {
+    const auto value = map.find(key);
+    if (value && !robot.is_car()) value->fail("is for a car", "set robot.drive to car, or remove it");
+  }
+  robot.wheelbase_m = positive(map, "wheelbase_m", robot.wheelbase_m);
+  robot.max_steering_rad = positive(map, "max_steering_rad", robot.max_steering_rad);
+  if (!(robot.max_steering_rad <= model::kMostSteering_rad)) {
+    map.at("max_steering_rad")
+        .fail("is no steering angle", "write the largest angle of the front wheel, rad");
   }
   options.max_speed_mps = positive(map, "max_speed_mps", options.max_speed_mps);
   options.max_acceleration_mps2 = positive(map, "max_acceleration_mps2", options.max_acceleration_mps2);
@@ -245,7 +265,16 @@ PathOptions parse_robot(const YamlValue& map) {
   options.corner_radius_m = positive(map, "corner_radius_m", options.corner_radius_m);
   if (const auto loop = map.find("loop"))
     options.loop = loop->one_of(std::array<std::string_view, 2>{"false", "true"}) == 1;
-  return options;
+  return robot;
+}
+
+void expect_corners_of_a_car(const YamlValue& drives, const Scenario& scenario, const RobotOptions& robot) {
+  const double least_m = robot.wheelbase_m / std::tan(robot.max_steering_rad);
+  const double radius_m = Path(joined(scenario.drives), scenario.path).least_radius_m();
+  if (radius_m >= least_m) return;
+  drives.fail(
+      fmt::format("have a corner with a radius of {:.2f} m, but the car needs {:.2f} m", radius_m, least_m),
+      "set a larger robot.corner_radius_m with longer legs, or let the path double back there");
 }
 
 std::vector<DriveLeg> parse_drives(const YamlValue& list, const PathOptions& robot) {
@@ -265,7 +294,7 @@ std::vector<DriveLeg> parse_drives(const YamlValue& list, const PathOptions& rob
       waypoint.x_m = at.x();
       waypoint.y_m = at.y();
       if (const auto yaw = point.find("yaw_rad")) {
-        if (robot.drive == Drive::kDifferential)
+        if (robot.drive != Drive::kOmnidirectional)
           yaw->fail("is given, but the robot follows its path",
                     "set robot.drive to omnidirectional, or remove it");
         waypoint.yaw_rad = yaw->number();
@@ -285,11 +314,45 @@ std::vector<DriveLeg> parse_drives(const YamlValue& list, const PathOptions& rob
   return drives;
 }
 
+std::vector<WheelSlip> parse_slips(const YamlValue& list) {
+  std::vector<WheelSlip> slips;
+  for (const YamlValue& entry : list.list()) {
+    entry.expect_keys({{"at_s", "duration_s", "scale"}});
+    const double from_s = entry.at("at_s").number();
+    slips.push_back({from_s, from_s + positive(entry, "duration_s", 0.0), entry.at("scale").number()});
+  }
+  return slips;
+}
+
+// The odometry of a car.
+OdometryOptions parse_car_odometry(const YamlValue& map, double wheelbase_m) {
+  map.expect_keys(
+      {{},
+       {"rate_hz", "scale_sigma", "slips", "sigma_speed_mps", "sigma_steering_rad", "sigma_side_mps",
+        "wheelbase_scale_sigma", "steering_offset_sigma_rad", "understeer_s2pm2"}});
+  OdometryOptions options;
+  CarOdometryOptions& car = options.car.emplace();
+  car.vehicle.wheelbase_m = wheelbase_m;
+  const auto take = [&](std::string_view key, double& value) { value = not_negative(map, key, value); };
+  take("sigma_speed_mps", car.vehicle.sigma_speed_mps);
+  take("sigma_steering_rad", car.vehicle.sigma_steering_rad);
+  take("sigma_side_mps", car.vehicle.sigma_side_mps);
+  take("wheelbase_scale_sigma", car.wheelbase_scale_sigma);
+  take("steering_offset_sigma_rad", car.steering_offset_sigma_rad);
+  take("understeer_s2pm2", car.understeer_s2pm2);
+  take("scale_sigma", options.scale_sigma);
+  options.rate_hz = positive(map, "rate_hz", options.rate_hz);
+  options.noise = model::noise_of(car.vehicle);
+  if (const auto slips = map.find("slips")) options.slips = parse_slips(*slips);
+  return options;
+}
+
 OdometryOptions parse_odometry(const YamlValue& map) {
   map.expect_keys({{},
                    {"rate_hz", "sigma_vx_mps", "sigma_vy_mps", "sigma_omega_radps", "scale_sigma",
-                    "yaw_rate_bias_sigma_radps"}});
+                    "yaw_rate_bias_sigma_radps", "slips"}});
   OdometryOptions options;
+  if (const auto slips = map.find("slips")) options.slips = parse_slips(*slips);
   options.rate_hz = positive(map, "rate_hz", options.rate_hz);
   options.noise.sigma_vx_mps = not_negative(map, "sigma_vx_mps", options.noise.sigma_vx_mps);
   options.noise.sigma_vy_mps = not_negative(map, "sigma_vy_mps", options.noise.sigma_vy_mps);
@@ -386,9 +449,19 @@ Scenario parse_scenario(const std::filesystem::path& path, const std::string& te
   scenario.anchors = parse_nodes<model::Anchor>(root.at("anchors"), "position_m", ids);
   scenario.tags = parse_nodes<model::Tag>(root.at("tags"), "lever_arm_m", ids);
   if (const auto biases = root.find("biases")) scenario.biases = parse_biases(*biases);
-  if (const auto robot = root.find("robot")) scenario.path = parse_robot(*robot);
+  RobotOptions robot;
+  if (const auto given = root.find("robot")) robot = parse_robot(*given);
+  scenario.path = robot.path;
   scenario.drives = parse_drives(root.at("drives"), scenario.path);
-  if (const auto odometry = root.find("odometry")) scenario.odometry = parse_odometry(*odometry);
+  if (robot.is_car()) expect_corners_of_a_car(root.at("drives"), scenario, robot);
+  if (const auto odometry = root.find("odometry")) {
+    scenario.odometry =
+        robot.is_car() ? parse_car_odometry(*odometry, robot.wheelbase_m) : parse_odometry(*odometry);
+  } else if (robot.is_car()) {
+    CarOdometryOptions& car = scenario.odometry.car.emplace();
+    car.vehicle.wheelbase_m = robot.wheelbase_m;
+    scenario.odometry.noise = model::noise_of(car.vehicle);
+  }
   if (const auto pose_prior = root.find("pose_prior")) scenario.pose_prior = parse_pose_prior(*pose_prior);
   if (const auto radio = root.find("radio")) scenario.radio = parse_radio(*radio);
   scenario.schedule.master_id = scenario.anchors.front().id;

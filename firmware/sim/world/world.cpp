@@ -12,8 +12,14 @@ enum WorldPurpose : std::uint64_t { kRobot = 0x576F, kBeta, kGamma, kTexture };
 
 constexpr double kShortestFlight_m = 0.05;
 
-// All drives as one path. The robot stops between two drives, so that they can be distinguished.
 constexpr double kStopBetweenDrives_s = 2.0;
+
+// A key that does not depend on the order of the two ids.
+std::uint32_t pair_key(std::uint16_t a, std::uint16_t b) {
+  return (static_cast<std::uint32_t>(std::min(a, b)) << 16) | std::max(a, b);
+}
+
+}  // namespace
 
 std::vector<Waypoint> joined(const std::vector<DriveLeg>& drives) {
   std::vector<Waypoint> all;
@@ -23,13 +29,6 @@ std::vector<Waypoint> joined(const std::vector<DriveLeg>& drives) {
   }
   return all;
 }
-
-// A key that does not depend on the order of the two ids.
-std::uint32_t pair_key(std::uint16_t a, std::uint16_t b) {
-  return (static_cast<std::uint32_t>(std::min(a, b)) << 16) | std::max(a, b);
-}
-
-}  // namespace
 
 World::World(const Scenario& scenario, std::uint64_t seed)
     : robot_(scenario.ground, Path(joined(scenario.drives), scenario.path), scenario.odometry,

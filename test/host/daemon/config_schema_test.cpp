@@ -80,7 +80,7 @@ bool has_all(const json& value, const json& keys) {
   return std::all_of(keys.begin(), keys.end(), [&](const json& key) { return value.contains(key); });
 }
 
-bool allows_members(const json& schema, const json& value) {
+bool meets_choice(const json& schema, const json& value) {
   for (const char* const kind : {"oneOf", "anyOf"}) {
     if (!schema.contains(kind)) continue;
     const json& choices = schema[kind];
@@ -88,6 +88,14 @@ bool allows_members(const json& schema, const json& value) {
                                      [&](const json& one) { return has_all(value, one.at("required")); });
     if (given == 0 || (given > 1 && schema.contains("oneOf"))) return false;
   }
+  return true;
+}
+
+bool allows_members(const json& schema, const json& value) {
+  const json all = schema.value("allOf", json::array());
+  if (!meets_choice(schema, value) ||
+      !std::all_of(all.begin(), all.end(), [&](const json& one) { return meets_choice(one, value); }))
+    return false;
   if (!has_all(value, schema.value("required", json::array()))) return false;
   for (const auto& [key, member] : value.items()) {
     if (!schema.at("properties").contains(key) || !allows(schema["properties"][key], member)) return false;

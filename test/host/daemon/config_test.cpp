@@ -55,6 +55,23 @@ class ConfigFile : public ::testing::Test {
   TemporaryFolder folder_;
 };
 
+TEST_F(ConfigFile, HasASteeringInPlaceOfOdometry) {
+  const std::string odometry =
+      "odometry: {sigma_vx_mps: 0.05, sigma_vy_mps: 0.04, sigma_omega_radps: 0.01}\n";
+  std::string text = kGood;
+  text.replace(text.find(odometry), odometry.size(),
+               "steering: {wheelbase_m: 1.6, rear_axle_x_m: -0.5, sigma_speed_mps: 0.03}\n");
+  const Config config = read(text);
+  ASSERT_TRUE(config.steering);
+  EXPECT_EQ(config.steering->wheelbase_m, 1.6);
+  EXPECT_EQ(config.steering->rear_axle_x_m, -0.5);
+  EXPECT_EQ(config.odometry.sigma_vx_mps, 0.03);
+  EXPECT_THAT(error_with(odometry, ""), HasSubstr("has neither 'odometry' nor 'steering'"));
+  EXPECT_THAT(error_with(odometry, odometry + "steering: {wheelbase_m: 1.6}\n"),
+              HasSubstr("has both 'odometry' and 'steering'"));
+  EXPECT_THAT(error_with(odometry, "steering: {wheelbase_m: 0}\n"), HasSubstr("steering.wheelbase_m"));
+}
+
 TEST_F(ConfigFile, IsReadAgainFromTheTextsThatItKept) {
   const std::filesystem::path path =
       folder_.write("gromad.yaml", kGood + std::string("ring: {folder: kept}\n"));

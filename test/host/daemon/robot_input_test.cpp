@@ -99,6 +99,22 @@ TEST(RobotInput, DropsAPoseWithAnInvalidCovariance) {
   EXPECT_THAT(input.last_problem(), testing::HasSubstr("covariance"));
 }
 
+TEST(RobotInput, ReadsTheSteeringOfACar) {
+  RobotInput input;
+  push(input, R"({"class":"STEERING","t_s":1.5,"speed_mps":-0.75,"steering_rad":0.25}
+{"class":"STEERING","t_s":1.6,"speed_mps":1,"steering_rad":14.3}
+{"class":"STEERING","t_s":1.7,"speed_mps":1}
+)");
+  const auto messages = take_all(input);
+  ASSERT_EQ(messages.size(), 1U);
+  const auto& sample = std::get<model::SteeringSample>(messages[0]);
+  EXPECT_EQ(sample.t_s, 1.5);
+  EXPECT_EQ(sample.speed_mps, -0.75);
+  EXPECT_EQ(sample.steering_rad, 0.25);
+  EXPECT_EQ(input.counters().odometry, 1U);
+  EXPECT_EQ(input.counters().bad_value, 2U);
+}
+
 TEST(RobotInput, DropsImplausiblePoses) {
   RobotInput input;
   for (const std::string line : {

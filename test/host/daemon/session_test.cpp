@@ -6,7 +6,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdint>
 #include <string>
+#include <string_view>
 #include <utility>
 #include <vector>
 
@@ -177,6 +179,30 @@ TEST(Session, PutsOtherSensorsInOrderToo) {
   EXPECT_EQ(site.session.counters().sensors, 2U);
   EXPECT_EQ(site.session.counters().without_odometry, 1U);
   EXPECT_EQ(site.session.counters().robot_time_wrong, 1U);
+}
+
+TEST(Session, ConvertsTheSteeringOfAConfiguredCar) {
+  const auto send = [](Site& site, double host_s) {
+    const std::string line = fmt::format(R"({{"class":"STEERING","t_s":{},"speed_mps":2,"steering_rad":0.5}})"
+                                         "\n",
+                                         host_s);
+    site.session.robot_bytes(std::vector<std::uint8_t>(line.begin(), line.end()), host_s);
+  };
+  Site car({.vehicle = model::Steering{.wheelbase_m = 1.6}});
+  for (int i = 0; i < 50; ++i) send(car, 10.0 + 0.02 * i);
+  car.session.advance(11.5);
+  ASSERT_EQ(car.sink.odometry.size(), 50U);
+  EXPECT_EQ(car.sink.odometry[0].vx_mps, 2.0);
+  EXPECT_DOUBLE_EQ(car.sink.odometry[0].omega_radps, 2.0 * std::tan(0.5) / 1.6);
+
+  std::vector<std::string> log;
+  Site other({.log = [&](std::string_view line) { log.emplace_back(line); }});
+  for (int i = 0; i < 50; ++i) send(other, 10.0 + 0.02 * i);
+  other.session.advance(11.5);
+  EXPECT_TRUE(other.sink.odometry.empty());
+  EXPECT_EQ(other.session.counters().steering_unknown, 50U);
+  ASSERT_EQ(log.size(), 1U);
+  EXPECT_THAT(log[0], ::testing::HasSubstr("the configuration has no 'steering'"));
 }
 
 TEST(Session, DelaysMeasurementsByItsLag) {

@@ -75,6 +75,29 @@ TEST_F(DatasetTest, ReadsOtherSensorsIfPresent) {
   EXPECT_THAT(failure<DataError>(folder_, {.sensors = true}), HasSubstr("imu.csv:2:5"));
 }
 
+TEST_F(DatasetTest, ReadsTheSteeringOfACarInPlaceOfOdometry) {
+  const std::string rest =
+      "schema: 1\nname: car\norigin: simulated\nrange: {sigma_m: 0.1}\n"
+      "surface: {type: plane, z_m: 0, normal: [0, 0, 1]}\n";
+  folder_.write("dataset.yaml", rest + "steering: {wheelbase_m: 2, sigma_speed_mps: 0.03}\n");
+  EXPECT_THAT(failure<DataError>(folder_), HasSubstr("steering.csv"));
+  std::filesystem::remove(folder_ / "odometry.csv");
+  folder_.write("steering.csv", "t_s,steering_rad,speed_mps\n0,0.5,-1\n0.1,0,0.5\n0.1,0,0.5\n");
+  const Dataset data = read();
+  ASSERT_EQ(data.odometry.size(), 2U);
+  EXPECT_EQ(data.odometry[0].vx_mps, -1.0);
+  EXPECT_DOUBLE_EQ(data.odometry[0].omega_radps, -0.5 * std::tan(0.5));
+  EXPECT_EQ(data.odometry[1].omega_radps, 0.0);
+  EXPECT_EQ(data.dropped.repeated, 1U);
+  EXPECT_EQ(data.odometry_noise.sigma_vx_mps, 0.03);
+  EXPECT_EQ(odometry_file(folder_.path()), folder_ / "steering.csv");
+
+  folder_.write("steering.csv", "t_s,speed_mps,steering_rad\n0,1,0.5\n0.1,1,28.6\n");
+  EXPECT_THAT(failure<DataError>(folder_), HasSubstr("steering.csv:3: 28.6 rad is no steering angle"));
+  folder_.write("dataset.yaml", rest);
+  EXPECT_THAT(failure<ConfigError>(folder_), HasSubstr("has neither 'odometry' nor 'steering'"));
+}
+
 TEST_F(DatasetTest, ReadsEveryColumnIntoItsPlace) {
   const Dataset data = read();
   EXPECT_EQ(data.name, "small");

@@ -128,6 +128,50 @@ TEST(LockStep, LivePosesArePromptAndAsAccurateAsSettledOnes) {
   EXPECT_LT(at_once.nees, 1.2 * in_order.nees);
 }
 
+// Its steering reaches the localizer as JSON lines; it reverses twice.
+TEST(LockStep, LocalizesACar) {
+  sim::Scenario site = small_site();
+  site.path.drive = sim::Drive::kCar;
+  site.path.corner_radius_m = 2.0;
+  sim::CarOdometryOptions& car = site.odometry.car.emplace();
+  car.vehicle.wheelbase_m = 1.4;
+  site.odometry.noise = model::noise_of(car.vehicle);
+  site.drives = {{"turn around",
+                  {{2.0, 2.0, {}, 0.0},
+                   {8.0, 2.0, {}, 0.0},
+                   {4.0, 2.0, {}, 0.0},
+                   {4.0, -2.0, {}, 0.0},
+                   {4.0, 6.0, {}, 0.0}}}};
+  LockStep run(site, {.seed = 5});
+  daemon::Localizer::Setup setup;
+  setup.surface = site.ground;
+  setup.tags = site.tags;
+  setup.calibration = model::surveyed_calibration(
+      site.anchors, site.tags,
+      {.sigma_m = site.range_sigma_m, .beta_m = site.biases.beta_m, .gamma = site.biases.gamma}, 0.02);
+  setup.filter.odometry = site.odometry.noise;
+  setup.filter.range_sigma_m = site.range_sigma_m;
+  std::vector<daemon::PoseEstimate> poses;
+  daemon::Localizer localizer(std::move(setup),
+                              [&](const daemon::PoseEstimate& pose) { poses.push_back(pose); });
+  run.session().attach(localizer);
+  run.run_until(run.site().world().robot().path().duration_s());
+  Squares squares;
+  double count = 0.0;
+  double backwards_m = 0.0;
+  for (const daemon::PoseEstimate& pose : poses) {
+    if (pose.t_s < poses.front().t_s + 2.0) continue;
+    squares.add(pose, run.site().world().robot().truth(pose.t_s));
+    count += 1.0;
+    backwards_m += std::max(0.0, -run.site().world().robot().velocity(pose.t_s).vx_mps) / 50.0;
+  }
+  ASSERT_GT(count, 1000.0);
+  EXPECT_GT(backwards_m, 6.0);
+  EXPECT_EQ(run.session().counters().steering_unknown, 0U);
+  EXPECT_LT(std::sqrt(squares.position_m2 / count), 0.05);
+  EXPECT_LT(squares.nees / count, 2.0);
+}
+
 TEST(LockStep, ASeedGivesOneResult) {
   const sim::Scenario site = small_site();
   const auto once = ranges_of(site, 3, 0.05);

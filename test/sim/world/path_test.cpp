@@ -80,6 +80,38 @@ TEST(Path, ADifferentialRobotHeadsAlongItsVelocity) {
   }
 }
 
+// East, back to the south-west, and on to the north.
+TEST(Path, ACarReversesWhereItsPathDoublesBack) {
+  const std::vector<Waypoint> turn{{0.0, 0.0, {}, 0.0},
+                                   {8.0, 0.0, {}, 0.0},
+                                   {4.0, 0.0, {}, 0.0},
+                                   {4.0, -4.0, {}, 0.0},
+                                   {4.0, 6.0, {}, 0.0}};
+  PathOptions options;
+  options.drive = Drive::kCar;
+  options.corner_radius_m = 2.0;
+  const Path path(turn, options);
+  EXPECT_NEAR(path.least_radius_m(), 1.996, 1e-3);
+  const auto speed_at = [&](double t_s) {
+    const PlanarMotion at = path.at(t_s);
+    return std::cos(at.theta_rad) * at.vx_mps + std::sin(at.theta_rad) * at.vy_mps;
+  };
+  const std::vector<double>& passes_s = path.waypoint_times_s();
+  EXPECT_GT(speed_at(passes_s[1] - 4.0), 0.3);
+  EXPECT_NEAR(speed_at(passes_s[1] - 0.3), 0.0, 1e-6);
+  EXPECT_LT(speed_at(0.5 * (passes_s[1] + passes_s[2])), -0.3);
+  EXPECT_GT(speed_at(0.5 * (passes_s[3] + passes_s[4])), 0.3);
+  // It turns to the left in reverse, and ends with its front to the north.
+  EXPECT_NEAR(path.at(passes_s[3]).theta_rad, 0.5 * std::numbers::pi, 1e-6);
+  EXPECT_NEAR(path.at(path.duration_s()).theta_rad, 0.5 * std::numbers::pi, 1e-6);
+  EXPECT_NEAR(path.at(path.duration_s()).y_m, 6.0, 1e-6);
+  for (double t = 0.0; t < path.duration_s(); t += 0.05) {
+    const PlanarMotion at = path.at(t);
+    const double sideways = -std::sin(at.theta_rad) * at.vx_mps + std::cos(at.theta_rad) * at.vy_mps;
+    EXPECT_LT(std::abs(sideways), 0.03 * std::abs(speed_at(t)) + 0.005) << t;
+  }
+}
+
 TEST(Path, TurnsTowardsTheHeadingsOfAnOmnidirectionalRobot) {
   std::vector<Waypoint> waypoints = kSquare;
   waypoints[0].yaw_rad = 3.0;

@@ -100,6 +100,80 @@ TEST(Robot, NoiseFreeSamplesReproduceThePath) {
   EXPECT_NEAR(model::wrap_angle(theta - end.yaw_rad), 0.0, 5e-4);
 }
 
+// Ahead, back around a corner, ahead again; on a plane.
+Robot car(const CarOdometryOptions& steering, double scale_sigma, std::uint64_t seed = 1) {
+  PathOptions options;
+  options.drive = Drive::kCar;
+  options.corner_radius_m = 2.5;
+  OdometryOptions odometry;
+  odometry.scale_sigma = scale_sigma;
+  odometry.car = steering;
+  return {model::Surface(),
+          Path({{0.0, 0.0, {}, 0.0},
+                {10.0, 0.0, {}, 0.0},
+                {4.0, 0.0, {}, 0.0},
+                {4.0, -6.0, {}, 0.0},
+                {4.0, 8.0, {}, 0.0}},
+               options),
+          odometry,
+          {},
+          KeyedRandom(seed)};
+}
+
+CarOdometryOptions exact_steering() {
+  return {.vehicle = {.wheelbase_m = 1.6, .sigma_speed_mps = 0.0, .sigma_steering_rad = 0.0},
+          .wheelbase_scale_sigma = 0.0,
+          .steering_offset_sigma_rad = 0.0,
+          .understeer_s2pm2 = 0.0};
+}
+
+// Rolls the rear axle along the circles that the front wheel gives.
+TEST(Robot, ExactSteeringReproducesACarsPath) {
+  const Robot subject = car(exact_steering(), 0.0);
+  const double interval_s = 1.0 / subject.odometry_options().rate_hz;
+  const auto samples = static_cast<std::uint64_t>(subject.path().duration_s() / interval_s);
+  double theta = subject.truth(0.0).yaw_rad;
+  Eigen::Vector2d base_m(0.0, 0.0);
+  double backwards_m = 0.0;
+  for (std::uint64_t k = 0; k < samples; ++k) {
+    const model::SteeringSample sample = subject.steering(k);
+    const double way_m = sample.speed_mps * interval_s;
+    const double turn = way_m * std::tan(sample.steering_rad) / 1.6;
+    const Eigen::Vector2d middle(std::cos(theta + 0.5 * turn), std::sin(theta + 0.5 * turn));
+    theta += turn;
+    base_m += way_m * middle;
+    backwards_m += std::max(0.0, -way_m);
+    EXPECT_LT(std::abs(sample.steering_rad), std::atan(1.6 / 2.2)) << k;
+  }
+  EXPECT_NEAR(backwards_m, 10.9, 0.2);
+  const model::PoseSample end = subject.truth(subject.path().duration_s());
+  EXPECT_NEAR(model::wrap_angle(theta - end.yaw_rad), 0.0, 2e-3);
+  EXPECT_LT((base_m - Eigen::Vector2d(end.x_m, end.y_m)).norm(), 0.05);
+}
+
+TEST(Robot, ACarsErrorsAreThoseOfItsWheelbaseAngleAndSlips) {
+  double squares = 0.0;
+  constexpr int kSeeds = 400;
+  for (int seed = 0; seed < kSeeds; ++seed) {
+    CarOdometryOptions steering = exact_steering();
+    steering.steering_offset_sigma_rad = 0.01;
+    const Robot subject = car(steering, 0.0, static_cast<std::uint64_t>(seed));
+    const double offset_rad = subject.steering(150).steering_rad;  // on the first leg
+    squares += offset_rad * offset_rad;
+    EXPECT_NEAR(subject.steering(200).steering_rad, offset_rad, 1e-3);
+  }
+  EXPECT_NEAR(std::sqrt(squares / kSeeds), 0.01, 0.001);
+
+  OdometryOptions odometry;
+  odometry.scale_sigma = 0.0;
+  odometry.car = exact_steering();
+  odometry.slips = {{.from_s = 3.0, .to_s = 4.0, .scale = 2.0}};
+  const Robot exact = car(exact_steering(), 0.0);
+  const Robot slipping(model::Surface(), exact.path(), odometry, {}, KeyedRandom(1));
+  EXPECT_DOUBLE_EQ(slipping.steering(175).speed_mps, 2.0 * exact.steering(175).speed_mps);
+  EXPECT_DOUBLE_EQ(slipping.steering(225).speed_mps, exact.steering(225).speed_mps);
+}
+
 TEST(Robot, OdometryErrorsAreWhiteConstantScaleAndBias) {
   const OdometryOptions options;
   const Robot exact = robot(exact_odometry(), {});

@@ -46,6 +46,32 @@ std::string error_of(const std::string& text) {
   return "no error";
 }
 
+TEST(ScenarioFile, ReadsACar) {
+  const std::string car =
+      with("drives:",
+           "robot: {drive: car, wheelbase_m: 2, max_steering_rad: 0.6, corner_radius_m: 3}\n"
+           "odometry: {sigma_steering_rad: 0.004, slips: [{at_s: 4, duration_s: 0.5, scale: 1.5}]}\ndrives:");
+  const Scenario scenario = parse_scenario("site.yaml", car);
+  ASSERT_TRUE(scenario.odometry.car);
+  EXPECT_EQ(scenario.path.drive, Drive::kCar);
+  EXPECT_EQ(scenario.odometry.car->vehicle.wheelbase_m, 2.0);
+  EXPECT_EQ(scenario.odometry.noise.sigma_omega_radps, 0.002);
+  ASSERT_EQ(scenario.odometry.slips.size(), 1U);
+  EXPECT_EQ(scenario.odometry.slips[0].to_s, 4.5);
+
+  const std::string corner = "      - {at_m: [3, 0], stop_s: 1}\n";
+  std::string tight = car;
+  tight.replace(tight.find(corner), corner.size(), corner + "      - {at_m: [3, 4]}\n");
+  EXPECT_THAT(error_of(tight), testing::HasSubstr("a radius of 1.50 m, but the car needs 2.92 m"));
+  std::string back = car;
+  back.replace(back.find(corner), corner.size(), corner + "      - {at_m: [-9, 0]}\n");
+  EXPECT_EQ(error_of(back), "no error");
+  EXPECT_THAT(error_of(with("drives:", "robot: {wheelbase_m: 2}\ndrives:")),
+              testing::HasSubstr("robot.wheelbase_m is for a car"));
+  EXPECT_THAT(error_of(with("drives:", "robot: {drive: car, max_steering_rad: 30}\ndrives:")),
+              testing::HasSubstr("robot.max_steering_rad is no steering angle"));
+}
+
 TEST(ScenarioFile, ReadsItsContent) {
   const Scenario scenario = parse_scenario("site.yaml", kSmall);
   EXPECT_EQ(scenario.name, "small");
