@@ -137,7 +137,7 @@ int run(const CalibrateOptions& options) {
   Warnings warnings;
   std::vector<model::AnchorRange> survey;
   if (options.survey) survey = io::read_survey(*options.survey, dataset.dropped);
-  if (!read.odometry) io::read_odometry(options.dataset, dataset);
+  if (!read.odometry) dataset.odometry = io::read_odometry(options.dataset, dataset.dropped);
   warnings.add(dataset);
   if (options.known_anchors && dataset.surveyed_anchors.empty()) {
     throw io::DataError({options.dataset / "anchors.csv"}, "there are no surveyed anchors",

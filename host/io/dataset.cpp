@@ -245,14 +245,22 @@ std::vector<model::OdometrySample> parse_steering(const std::filesystem::path& p
   return odometry;
 }
 
-std::filesystem::path odometry_file(const std::filesystem::path& folder, const Dataset& dataset) {
-  return folder / (dataset.steering ? kSteeringFile : kOdometryFile);
+std::optional<model::Steering> vehicle_of(const YamlValue& description) {
+  const auto steering = description.find("steering");
+  return steering ? std::optional(parse_steering(*steering)) : std::nullopt;
 }
 
-void parse_odometry(const std::filesystem::path& path, std::string_view text, Dataset& dataset) {
-  dataset.odometry =
-      dataset.steering ? parse_steering(path, text, *dataset.steering) : parse_velocities(path, text);
-  put_in_order(dataset.odometry, dataset.dropped);
+// `read` gives the text of a file.
+template <typename Read>
+std::vector<model::OdometrySample> parse_odometry(const std::filesystem::path& folder,
+                                                  const std::optional<model::Steering>& vehicle, Read read,
+                                                  DroppedRows& dropped) {
+  const std::filesystem::path path = folder / (vehicle ? kSteeringFile : kOdometryFile);
+  const std::string text = read(path);
+  std::vector<model::OdometrySample> odometry =
+      vehicle ? parse_steering(path, text, *vehicle) : parse_velocities(path, text);
+  put_in_order(odometry, dropped);
+  return odometry;
 }
 
 // Implausible rows are dropped; if they are half of all rows or more, the file is wrong: finish() throws.
@@ -453,12 +461,8 @@ void parse_description(const YamlValue& yaml, const std::filesystem::path& folde
   dataset.name = yaml.at("name").text();
   dataset.origin = kOrigins.at(yaml.at("origin").one_of(kOrigins));
 
-  if (const auto steering = yaml.find("steering")) {
-    dataset.steering = parse_steering(*steering);
-    dataset.odometry_noise = model::noise_of(*dataset.steering);
-  } else {
-    dataset.odometry_noise = parse_odometry_noise(yaml.at("odometry"));
-  }
+  const std::optional<model::Steering> vehicle = vehicle_of(yaml);
+  dataset.odometry_noise = vehicle ? model::noise_of(*vehicle) : parse_odometry_noise(yaml.at("odometry"));
   dataset.range_priors = parse_range_priors(yaml.at("range"));
   dataset.sensors = parse_sensors(yaml);
   dataset.surface = parse_surface(yaml.at("surface"), folder, files);
@@ -544,7 +548,8 @@ Dataset read_dataset(const std::filesystem::path& path, const ReadOptions& optio
   InputFiles files;
   Dataset dataset;
   const std::filesystem::path description = folder / "dataset.yaml";
-  parse_description(YamlValue::parse(description, files.read(description)), folder, files, dataset);
+  const YamlValue yaml = YamlValue::parse(description, files.read(description));
+  parse_description(yaml, folder, files, dataset);
 
   const std::filesystem::path tags = folder / "tags.csv";
   dataset.tags = parse_tags(tags, files.read(tags), options.needs_tags);
@@ -558,8 +563,8 @@ Dataset read_dataset(const std::filesystem::path& path, const ReadOptions& optio
                                 with_anchors ? &dataset.surveyed_anchors : nullptr, dataset);
 
   if (options.odometry) {
-    const std::filesystem::path odometry = odometry_file(folder, dataset);
-    parse_odometry(odometry, files.read(odometry), dataset);
+    const auto read = [&](const std::filesystem::path& file) { return files.read(file); };
+    dataset.odometry = parse_odometry(folder, vehicle_of(yaml), read, dataset.dropped);
   }
 
   if (options.sensors) read_sensors(folder, files, dataset);
@@ -595,9 +600,11 @@ std::filesystem::path odometry_file(const std::filesystem::path& folder) {
   return folder / (is_car ? kSteeringFile : kOdometryFile);
 }
 
-void read_odometry(const std::filesystem::path& folder, Dataset& dataset) {
-  const std::filesystem::path path = odometry_file(folder, dataset);
-  if (std::filesystem::exists(path)) parse_odometry(path, read_file(path), dataset);
+std::vector<model::OdometrySample> read_odometry(const std::filesystem::path& folder, DroppedRows& dropped) {
+  if (!std::filesystem::exists(odometry_file(folder))) return {};
+  const std::filesystem::path description = folder / "dataset.yaml";
+  return parse_odometry(folder, vehicle_of(YamlValue::parse(description, read_file(description))), read_file,
+                        dropped);
 }
 
 std::vector<model::AnchorRange> read_survey(const std::filesystem::path& path, DroppedRows& dropped) {

@@ -53,8 +53,6 @@ struct Dataset {
   std::string name;
   std::string origin;  // "recorded" or "simulated"
   model::OdometryNoise odometry_noise;
-  // The odometry was converted from steering.csv of such a vehicle.
-  std::optional<model::Steering> steering;
   model::RangePriors range_priors;
   model::Surface surface;
   std::vector<model::Anchor> surveyed_anchors;  // by id; empty if anchors.csv is absent
@@ -103,9 +101,10 @@ struct ReadOptions {
 // The file with a folder's odometry: odometry.csv, or steering.csv where that alone is there.
 [[nodiscard]] std::filesystem::path odometry_file(const std::filesystem::path& folder);
 
-// Reads the odometry of a folder into its data set; none if it has none. Late and repeated rows are dropped
-// and counted. Throws as read_dataset().
-void read_odometry(const std::filesystem::path& folder, Dataset& dataset);
+// Reads the odometry of a folder; empty if it has none. Late and repeated rows are dropped and counted.
+// Throws as read_dataset().
+[[nodiscard]] std::vector<model::OdometrySample> read_odometry(const std::filesystem::path& folder,
+                                                               DroppedRows& dropped);
 
 // Reads the table that `groma survey` prints: anchor_id,other_id,range_m,sigma_m,count. Rows with a wrong id
 // or range are dropped and counted. Throws as read_dataset().
