@@ -37,7 +37,7 @@ constexpr std::array kYawFactors{0.4, 2.5};
 // hand: factors of 1.5 and 3; DriveError.DistinguishesSmoothFromRoughDrift holds with them.
 constexpr std::array kSmoothTimes_s{5.0, 7.5, 11.0, 17.0, 25.0, 37.0};
 constexpr std::array kDampingRatios{1.0, 0.3, 0.1};
-constexpr double kSmoothFactor = 0.7;
+constexpr std::array kSmoothFactors{1.0, 0.7};
 constexpr int kFollowingSteps = 3;       // a bound on time, by hand
 constexpr double kLastStepSigmas = 0.1;  // 0.01 in chi square
 // Least gain in log evidence (nats) to accept a drift, body terms, or body terms in addition to a drift; and
@@ -154,29 +154,26 @@ SharedPrior refine_drift(const JointEquations& equations, const SharedUnknowns& 
 SharedPrior likeliest_shape(const JointEquations& equations, const SharedUnknowns& unknowns,
                             const SharedPrior& rough) {
   if (model::is_ablated(model::Mechanism::kCalibrationSmoothDrift)) return rough;
-  Belief best{.prior = rough, .evidence = -std::numeric_limits<double>::infinity()};
-  const auto consider = [&](const SharedPrior& prior) {
-    const double least_gain =
-        kMinSmoothEvidence + (*prior.drift.damping_ratio < 1.0 ? kMinOscillationEvidence : 0.0);
-    keep_likelier(equations, unknowns, prior, least_gain, best);
+  Belief best{.prior = rough, .evidence = evidence(equations, unknowns, rough)};
+  const auto least_gain = [](double damping_ratio) {
+    return kMinSmoothEvidence + (damping_ratio < 1.0 ? kMinOscillationEvidence : 0.0);
   };
-  for (const double damping_ratio : kDampingRatios) {
-    for (const double time_s : kSmoothTimes_s) {
-      SharedPrior prior = rough;
-      prior.drift.correlation_s = time_s;
-      prior.drift.damping_ratio = damping_ratio;
-      consider(prior);
+  for (const double factor : kSmoothFactors) {
+    for (const double damping_ratio : kDampingRatios) {
+      for (const double time_s : kSmoothTimes_s) {
+        SharedPrior prior = rough;
+        prior.drift.sigma_m *= factor;
+        prior.drift.correlation_s = time_s;
+        prior.drift.damping_ratio = damping_ratio;
+        keep_likelier(equations, unknowns, prior, least_gain(damping_ratio), best);
+      }
     }
   }
   if (!best.prior.drift.damping_ratio) return rough;
-  SharedPrior smaller = best.prior;
-  smaller.drift.sigma_m *= kSmoothFactor;
-  consider(smaller);
-  if (best.evidence <= evidence(equations, unknowns, rough)) return rough;
   for (const double factor : kYawFactors) {
     SharedPrior prior = best.prior;
     prior.drift.sigma_yaw_rad *= factor;
-    consider(prior);
+    keep_likelier(equations, unknowns, prior, least_gain(*prior.drift.damping_ratio), best);
   }
   return best.prior;
 }

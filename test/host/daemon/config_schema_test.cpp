@@ -148,9 +148,22 @@ TEST_F(ConfigSchema, AllowsAFileWithEachKey) {
   EXPECT_TRUE(problems_of(kEachKey).empty()) << problems_of(kEachKey).front().text;
   EXPECT_TRUE(schema_allows(kEachKey));
   for (const auto& [key, property] : schema_["properties"].items()) {
-    // In place of robot_socket.
-    if (key != "robot") EXPECT_THAT("\n" + std::string(kEachKey), HasSubstr("\n" + key + ":"));
+    // In place of robot_socket and odometry.
+    if (key != "robot" && key != "steering")
+      EXPECT_THAT("\n" + std::string(kEachKey), HasSubstr("\n" + key + ":"));
     EXPECT_FALSE(property.value("description", "").empty()) << key;
+  }
+}
+
+TEST_F(ConfigSchema, AndParserTakeEitherOdometryOrSteering) {
+  const std::string odometry =
+      "odometry: {sigma_vx_mps: 0.05, sigma_vy_mps: 0.04, sigma_omega_radps: 0.01}\n";
+  const std::string steering = "steering: {wheelbase_m: 1.6}\n";
+  EXPECT_TRUE(schema_allows(with(odometry, steering)));
+  EXPECT_TRUE(problems_of(with(odometry, steering)).empty());
+  for (const std::string& wrong : {std::string(), odometry + steering, std::string("steering: {}\n")}) {
+    EXPECT_FALSE(schema_allows(with(odometry, wrong))) << wrong;
+    EXPECT_FALSE(problems_of(with(odometry, wrong)).empty()) << wrong;
   }
 }
 
