@@ -61,7 +61,7 @@ TEST_F(DataCommands, LogInfoHasCountsAndGaps) {
   const json section = json::parse(result.out)["sections"].at(0);
   EXPECT_EQ(section["start"], "2023-11-14T22:13:20Z");
   EXPECT_NEAR(section["duration_s"].get<double>(), 9.95, 1e-9);
-  const json kinds = section["kinds"];
+  const json& kinds = section["kinds"];
   ASSERT_EQ(kinds.size(), 4U);
   EXPECT_EQ(kinds[0]["kind"], "ranges");
   EXPECT_EQ(kinds[0]["count"], run_.ranges.size());

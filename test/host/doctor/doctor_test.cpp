@@ -27,7 +27,7 @@ constexpr const char* kCalibrated = "{file: calibration.yaml}";
 
 class Doctor : public DoctorTest {
  protected:
-  struct Result {
+  struct Result {  // NOLINT(bugprone-exception-escape): moving JSON does not throw
     int exit_code = -1;
     json report;
     std::string text;

@@ -28,6 +28,7 @@ class TerminalProgram {
       : screen_(rows, std::string(columns, ' ')) {
     winsize size{rows, columns, 0, 0};
     std::vector<const char*> argv;
+    argv.reserve(arguments.size() + 1);
     for (const std::string& argument : arguments) argv.push_back(argument.c_str());
     argv.push_back(nullptr);
     int master = -1;
