@@ -29,11 +29,11 @@
 
 namespace groma::daemon {
 
-// The last N samples.
+// The last N samples. Its memory is touched at once, so that it does not grow while samples arrive.
 template <class Sample>
 class SampleRing {
  public:
-  explicit SampleRing(std::size_t capacity) : capacity_(capacity) { samples_.reserve(capacity); }
+  explicit SampleRing(std::size_t capacity) : capacity_(capacity), samples_(capacity) { samples_.clear(); }
 
   void push(const Sample& sample) noexcept {
     if (samples_.size() < capacity_) return samples_.push_back(sample);
