@@ -450,8 +450,9 @@ void read_sensors(const std::filesystem::path& folder, InputFiles& files, Datase
   std::apply([&](auto&... tables) { (read(tables), ...); }, dataset.sensor_samples);
 }
 
-void parse_description(const YamlValue& yaml, const std::filesystem::path& folder, InputFiles& files,
-                       Dataset& dataset) {
+// Returns the car-like vehicle whose odometry is its steering, if it is one.
+std::optional<model::Steering> parse_description(const YamlValue& yaml, const std::filesystem::path& folder,
+                                                 InputFiles& files, Dataset& dataset) {
   yaml.expect_keys(
       {{"schema", "name", "origin", "range", "surface"}, {"odometry", "steering", "imu", "gnss"}});
   expect_odometry(yaml);
@@ -466,6 +467,7 @@ void parse_description(const YamlValue& yaml, const std::filesystem::path& folde
   dataset.range_priors = parse_range_priors(yaml.at("range"));
   dataset.sensors = parse_sensors(yaml);
   dataset.surface = parse_surface(yaml.at("surface"), folder, files);
+  return vehicle;
 }
 
 // Drops the ranges that read_dataset() would drop from a folder.
@@ -548,8 +550,8 @@ Dataset read_dataset(const std::filesystem::path& path, const ReadOptions& optio
   InputFiles files;
   Dataset dataset;
   const std::filesystem::path description = folder / "dataset.yaml";
-  const YamlValue yaml = YamlValue::parse(description, files.read(description));
-  parse_description(yaml, folder, files, dataset);
+  const std::optional<model::Steering> vehicle =
+      parse_description(YamlValue::parse(description, files.read(description)), folder, files, dataset);
 
   const std::filesystem::path tags = folder / "tags.csv";
   dataset.tags = parse_tags(tags, files.read(tags), options.needs_tags);
@@ -564,7 +566,7 @@ Dataset read_dataset(const std::filesystem::path& path, const ReadOptions& optio
 
   if (options.odometry) {
     const auto read = [&](const std::filesystem::path& file) { return files.read(file); };
-    dataset.odometry = parse_odometry(folder, vehicle_of(yaml), read, dataset.dropped);
+    dataset.odometry = parse_odometry(folder, vehicle, read, dataset.dropped);
   }
 
   if (options.sensors) read_sensors(folder, files, dataset);

@@ -40,6 +40,14 @@ struct OdometryOptions {
   std::vector<WheelSlip> slips{};
 };
 
+// Of such a car, otherwise with the defaults.
+[[nodiscard]] inline OdometryOptions odometry_of(const model::Steering& vehicle) {
+  OdometryOptions out;
+  out.noise = model::noise_of(vehicle);
+  out.car = {.vehicle = vehicle};
+  return out;
+}
+
 struct PosePriorOptions {
   double rate_hz = 10.0;
   double correlated_sigma_m = 0.02;  // in x and in y, with the correlation time correlation_s

@@ -330,19 +330,17 @@ OdometryOptions parse_car_odometry(const YamlValue& map, double wheelbase_m) {
       {{},
        {"rate_hz", "scale_sigma", "slips", "sigma_speed_mps", "sigma_steering_rad", "sigma_side_mps",
         "wheelbase_scale_sigma", "steering_offset_sigma_rad", "understeer_s2pm2"}});
-  OdometryOptions options;
-  CarOdometryOptions& car = options.car.emplace();
-  car.vehicle.wheelbase_m = wheelbase_m;
+  model::Steering vehicle{.wheelbase_m = wheelbase_m};
   const auto take = [&](std::string_view key, double& value) { value = not_negative(map, key, value); };
-  take("sigma_speed_mps", car.vehicle.sigma_speed_mps);
-  take("sigma_steering_rad", car.vehicle.sigma_steering_rad);
-  take("sigma_side_mps", car.vehicle.sigma_side_mps);
-  take("wheelbase_scale_sigma", car.wheelbase_scale_sigma);
-  take("steering_offset_sigma_rad", car.steering_offset_sigma_rad);
-  take("understeer_s2pm2", car.understeer_s2pm2);
+  take("sigma_speed_mps", vehicle.sigma_speed_mps);
+  take("sigma_steering_rad", vehicle.sigma_steering_rad);
+  take("sigma_side_mps", vehicle.sigma_side_mps);
+  OdometryOptions options = odometry_of(vehicle);
+  take("wheelbase_scale_sigma", options.car->wheelbase_scale_sigma);
+  take("steering_offset_sigma_rad", options.car->steering_offset_sigma_rad);
+  take("understeer_s2pm2", options.car->understeer_s2pm2);
   take("scale_sigma", options.scale_sigma);
   options.rate_hz = positive(map, "rate_hz", options.rate_hz);
-  options.noise = model::noise_of(car.vehicle);
   if (const auto slips = map.find("slips")) options.slips = parse_slips(*slips);
   return options;
 }
@@ -458,9 +456,7 @@ Scenario parse_scenario(const std::filesystem::path& path, const std::string& te
     scenario.odometry =
         robot.is_car() ? parse_car_odometry(*odometry, robot.wheelbase_m) : parse_odometry(*odometry);
   } else if (robot.is_car()) {
-    CarOdometryOptions& car = scenario.odometry.car.emplace();
-    car.vehicle.wheelbase_m = robot.wheelbase_m;
-    scenario.odometry.noise = model::noise_of(car.vehicle);
+    scenario.odometry = odometry_of({.wheelbase_m = robot.wheelbase_m});
   }
   if (const auto pose_prior = root.find("pose_prior")) scenario.pose_prior = parse_pose_prior(*pose_prior);
   if (const auto radio = root.find("radio")) scenario.radio = parse_radio(*radio);

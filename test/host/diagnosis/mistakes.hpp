@@ -86,8 +86,8 @@ inline MistakeMade length_unit(double factor) {
           },
           {factor}};
 }
+inline constexpr double kDegrees = 180.0 / std::numbers::pi;  // in a radian
 inline MistakeMade angle_unit() {
-  constexpr double kDegrees = 180.0 / std::numbers::pi;
   return {"yaw in degrees",
           "angle-unit",
           [](diagnosis::Data& data) {
@@ -96,7 +96,6 @@ inline MistakeMade angle_unit() {
           {kDegrees}};
 }
 inline MistakeMade tilt_unit() {
-  constexpr double kDegrees = 180.0 / std::numbers::pi;
   return {"roll and pitch in degrees",
           "angle-unit",
           [](diagnosis::Data& data) {
@@ -228,7 +227,6 @@ inline MistakeMade odometry_length_unit(double factor) {
   return speeds_times(factor, "unit of speeds", "length-unit");
 }
 inline MistakeMade yaw_rate_unit() {
-  constexpr double kDegrees = 180.0 / std::numbers::pi;
   return {"yaw rate in degrees",
           "angle-unit",
           [](diagnosis::Data& data) {

@@ -67,6 +67,18 @@ TEST(LockStep, ReceivedRangesMatchTheWorld) {
   EXPECT_LT(std::sqrt(squares / count), 0.035);
 }
 
+daemon::Localizer::Setup surveyed(const sim::Scenario& site) {
+  daemon::Localizer::Setup setup;
+  setup.surface = site.ground;
+  setup.tags = site.tags;
+  setup.calibration = model::surveyed_calibration(
+      site.anchors, site.tags,
+      {.sigma_m = site.range_sigma_m, .beta_m = site.biases.beta_m, .gamma = site.biases.gamma}, 0.02);
+  setup.filter.odometry = site.odometry.noise;
+  setup.filter.range_sigma_m = site.range_sigma_m;
+  return setup;
+}
+
 // Sums of the squared position error and of the NEES.
 struct Squares {
   double position_m2 = 0.0;
@@ -85,19 +97,11 @@ struct Squares {
 TEST(LockStep, LivePosesArePromptAndAsAccurateAsSettledOnes) {
   const sim::Scenario site = small_site();
   LockStep run(site, {.seed = 5});
-  daemon::Localizer::Setup setup;
-  setup.surface = site.ground;
-  setup.tags = site.tags;
-  setup.calibration = model::surveyed_calibration(
-      site.anchors, site.tags,
-      {.sigma_m = site.range_sigma_m, .beta_m = site.biases.beta_m, .gamma = site.biases.gamma}, 0.02);
-  setup.filter.odometry = site.odometry.noise;
-  setup.filter.range_sigma_m = site.range_sigma_m;
   std::vector<daemon::PoseEstimate> live;
   std::vector<daemon::PoseEstimate> settled;
   double oldest_s = 0.0;
   daemon::Localizer localizer(
-      std::move(setup),
+      surveyed(site),
       [&](const daemon::PoseEstimate& pose) {
         oldest_s = std::max(oldest_s, run.site().now_s() - pose.t_s);
         live.push_back(pose);
@@ -133,9 +137,7 @@ TEST(LockStep, LocalizesACar) {
   sim::Scenario site = small_site();
   site.path.drive = sim::Drive::kCar;
   site.path.corner_radius_m = 2.0;
-  sim::CarOdometryOptions& car = site.odometry.car.emplace();
-  car.vehicle.wheelbase_m = 1.4;
-  site.odometry.noise = model::noise_of(car.vehicle);
+  site.odometry = sim::odometry_of({.wheelbase_m = 1.4});
   site.drives = {{"turn around",
                   {{2.0, 2.0, {}, 0.0},
                    {8.0, 2.0, {}, 0.0},
@@ -143,16 +145,8 @@ TEST(LockStep, LocalizesACar) {
                    {4.0, -2.0, {}, 0.0},
                    {4.0, 6.0, {}, 0.0}}}};
   LockStep run(site, {.seed = 5});
-  daemon::Localizer::Setup setup;
-  setup.surface = site.ground;
-  setup.tags = site.tags;
-  setup.calibration = model::surveyed_calibration(
-      site.anchors, site.tags,
-      {.sigma_m = site.range_sigma_m, .beta_m = site.biases.beta_m, .gamma = site.biases.gamma}, 0.02);
-  setup.filter.odometry = site.odometry.noise;
-  setup.filter.range_sigma_m = site.range_sigma_m;
   std::vector<daemon::PoseEstimate> poses;
-  daemon::Localizer localizer(std::move(setup),
+  daemon::Localizer localizer(surveyed(site),
                               [&](const daemon::PoseEstimate& pose) { poses.push_back(pose); });
   run.session().attach(localizer);
   run.run_until(run.site().world().robot().path().duration_s());
