@@ -34,4 +34,26 @@ DeadReckoning::Place DeadReckoning::at(double t_s) const {
                  t_s - odometry_[static_cast<std::size_t>(held)].t_s);
 }
 
+std::vector<model::OdometrySample> joined(std::span<const model::OdometrySample> odometry, double least_s) {
+  std::vector<model::OdometrySample> out;
+  const DeadReckoning path(odometry, {});
+  for (std::size_t begin = 0; begin < odometry.size();) {
+    std::size_t end = begin + 1;
+    while (end < odometry.size() && odometry[end].t_s - odometry[begin].t_s < least_s) ++end;
+    if (end == odometry.size()) {
+      out.insert(out.end(), odometry.begin() + static_cast<std::ptrdiff_t>(begin), odometry.end());
+      break;
+    }
+    const DeadReckoning::Place from = path.at(odometry[begin].t_s);
+    const DeadReckoning::Place to = path.at(odometry[end].t_s);
+    const double dt_s = odometry[end].t_s - odometry[begin].t_s;
+    const Eigen::Vector2d velocity_mps = Eigen::Rotation2Dd(-0.5 * (from.heading_rad + to.heading_rad)) *
+                                         (to.position_m - from.position_m) / dt_s;
+    out.push_back({odometry[begin].t_s, velocity_mps.x(), velocity_mps.y(),
+                   (to.heading_rad - from.heading_rad) / dt_s});
+    begin = end;
+  }
+  return out;
+}
+
 }  // namespace groma::diagnosis

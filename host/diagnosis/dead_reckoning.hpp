@@ -40,4 +40,9 @@ class DeadReckoning {
   std::vector<Place> path_;  // at each sample
 };
 
+// The same motion in samples that are least_s or more apart, each the mean of those that it stands for: of
+// the velocity in the axes of base_link in the middle of its turn.
+[[nodiscard]] std::vector<model::OdometrySample> joined(std::span<const model::OdometrySample> odometry,
+                                                        double least_s);
+
 }  // namespace groma::diagnosis

@@ -6,8 +6,10 @@
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
+#include <limits>
 #include <map>
 #include <memory>
+#include <optional>
 #include <string>
 #include <utility>
 
@@ -252,13 +254,7 @@ bool shows_exchange(const Constellation& seen) {
 }
 
 // What the anchors' places show that no hypothesis explains.
-std::vector<Finding> find_mismatch(const Data& data, const model::Calibration& calibration) {
-  // Where dead reckoning fits the calibration in windows, the map is right.
-  constexpr std::size_t kRows = 1500;
-  constexpr double kFitSigmas = 3.0;  // by hand
-  const WindowScene scene(data, calibration, kRows);
-  if (!scene.rows().empty() && fit_ranges(scene, {}).scale_m < kFitSigmas * data.priors.sigma_m) return {};
-  const auto seen = compare_constellation(data, calibration);
+std::vector<Finding> find_mismatch(const std::optional<Constellation>& seen) {
   if (!seen || 2 * seen->own > seen->anchors) return {};
   if (seen->own_mirrored > seen->own + 1 && seen->own_mirrored + 1 >= seen->anchors)
     return {*wrong_yaw_rate_sign().name({})};
@@ -276,7 +272,11 @@ std::vector<Finding> compare_with_calibration(Data& data, const model::Calibrati
   const MakeScene make_scene = [&](const Data& now, std::size_t most_rows) -> std::unique_ptr<Scene> {
     return std::make_unique<WindowScene>(now, calibration, most_rows);
   };
+  // Where dead reckoning fits the calibration in windows, the map is right.
+  constexpr double kFitSigmas = 3.0;  // by hand
   OdometryError error(make_scene);
+  double scale_m = std::numeric_limits<double>::infinity();  // of the windows' residuals
+  std::optional<Constellation> seen;
   const double height_m2 = height_variance_m2(calibration);
   const auto hypotheses = [&](const Data& now, const RangeFit& given) {
     std::vector<Hypothesis> out = of_odometry(now, error.scale());
@@ -288,13 +288,16 @@ std::vector<Finding> compare_with_calibration(Data& data, const model::Calibrati
       if (!hypothesis.resembles_odometry) continue;
       for (Parameters& start : hypothesis.starts) start = error.with_these(start);
     }
-    const auto seen = compare_constellation(now, calibration);
+    scale_m = given.scale_m;
+    seen = compare_constellation(now, calibration);
     if (seen && shows_exchange(*seen)) out.push_back(renumbered(seen->exchanged));
     return out;
   };
   std::vector<Finding> findings =
       find_mistakes(data, make_scene, hypotheses, 0.0, [&](Data& now) { error.remove(now); });
-  return findings.empty() ? find_mismatch(data, calibration) : findings;
+  if (!findings.empty() || scale_m < kFitSigmas * data.priors.sigma_m) return findings;
+  if (!seen) seen = compare_constellation(data, calibration);
+  return find_mismatch(seen);
 }
 
 }  // namespace groma::diagnosis

@@ -152,7 +152,7 @@ class Fitter {
         const double r = rows_[i].range_m - scene_.predict_m(rows_[i], antennas_[i], block, derivatives_);
         if (!std::isfinite(r)) continue;
         const double weight = student_weight(r, scale_m) / (scale_m * scale_m);
-        information.selfadjointView<Eigen::Lower>().rankUpdate(derivatives_.block, weight);
+        information += weight * derivatives_.block.lazyProduct(derivatives_.block.transpose());
         gradient += weight * r * derivatives_.block;
       }
       bool improved = false;
@@ -161,7 +161,7 @@ class Fitter {
         Eigen::MatrixXd damped = information;
         damped.diagonal() *= 1.0 + damping;
         damped.diagonal().array() += 1e-9;
-        const Eigen::VectorXd next = block + damped.selfadjointView<Eigen::Lower>().ldlt().solve(gradient);
+        const Eigen::VectorXd next = block + damped.ldlt().solve(gradient);
         double next_scale_m = scale_m;
         const double next_cost = block_cost(range, next, next_scale_m, 2);
         improved = next_cost < cost;
@@ -218,7 +218,7 @@ class Fitter {
           row_shared(k, column) = by.allFinite() ? derivatives_.antenna.dot(by) : 0.0;
         }
         const double weight = student_weight(residuals_[i], best.scale_m) / (best.scale_m * best.scale_m);
-        a[b] += weight * derivatives_.block * derivatives_.block.transpose();
+        a[b] += weight * derivatives_.block.lazyProduct(derivatives_.block.transpose());
         g[b] += weight * residuals_[i] * derivatives_.block;
         if (p == 0) continue;
         c[b] += weight * derivatives_.block * row_shared.col(column).transpose();

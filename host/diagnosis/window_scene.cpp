@@ -28,6 +28,9 @@ constexpr std::size_t kMinWindowRows = 12;
 // on 30 s of a good drive).
 constexpr double kLeastReckoned_s = 59.0;
 
+// By hand: at 1 m/s^2 the way is off by a millimetre between two samples.
+constexpr double kStep_s = 0.1;
+
 // Pairs whose bias is less certain, such as those of surveyed anchors, would be explained by a mistake. By
 // hand: a third of the lever arm that is named.
 constexpr double kMostBetaSigma_m = 0.1;
@@ -48,7 +51,7 @@ double window_length_s(const std::vector<model::OdometrySample>& odometry) {
 }  // namespace
 
 WindowScene::WindowScene(const Data& data, const model::Calibration& calibration, std::size_t most_rows)
-    : data_(data) {
+    : data_(data), odometry_(joined(data.odometry, kStep_s)) {
   prior_mean_.setZero(3);
   prior_sigma_.setConstant(3, std::numeric_limits<double>::infinity());
   if (data.odometry.size() < 2 || data.ranges.empty()) return;
@@ -101,17 +104,19 @@ WindowScene::WindowScene(const Data& data, const model::Calibration& calibration
 }
 
 void WindowScene::reckon(const DeadReckoning::YawRateError& yaw_rate) const {
-  path_.emplace(data_.odometry, yaw_rate);
+  path_.emplace(odometry_, yaw_rate);
   begins_.clear();
-  for (const double begin_s : windows_) begins_.push_back(path_->at(begin_s));
+  for (const double begin_s : windows_) {
+    const DeadReckoning::Place place = path_->at(begin_s);
+    begins_.push_back({place, Eigen::Rotation2Dd(-place.heading_rad).toRotationMatrix()});
+  }
 }
 
 Eigen::Vector3d WindowScene::antenna_m(const RangeRow& row, const Mistake& mistake) const {
   const DeadReckoning::YawRateError yaw_rate{mistake.yaw_rate_scale, mistake.yaw_rate_bias_radps};
   if (!path_ || path_->yaw_rate() != yaw_rate) reckon(yaw_rate);
-  const DeadReckoning::Place& begin = begins_[row.block];
+  const auto& [begin, back] = begins_[row.block];
   const DeadReckoning::Place now = path_->at(mistake.clock.corrected_s(row.t_s));
-  const Eigen::Rotation2Dd back(-begin.heading_rad);
   Eigen::Vector3d lever_arm_m = data_.tags[row.tag].lever_arm_m;
   if (row.tag == mistake.tag) lever_arm_m -= mistake.lever_arm_m;
   Eigen::Vector3d out;
@@ -124,10 +129,11 @@ Eigen::Vector3d WindowScene::antenna_m(const RangeRow& row, const Mistake& mista
 double WindowScene::predict_m(const RangeRow& row, const Eigen::Vector3d& antenna_m,
                               const Eigen::VectorXd& block, RangeDerivatives& out) const {
   const Pair& pair = pairs_[row.anchor];
-  const double c = std::cos(block(2));
-  const double s = std::sin(block(2));
-  const Eigen::Vector2d turned_m(c * antenna_m.x() - s * antenna_m.y(),
-                                 s * antenna_m.x() + c * antenna_m.y());
+  if (block(2) != turn_rad_) {
+    turn_rad_ = block(2);
+    turn_ = Eigen::Rotation2Dd(turn_rad_).toRotationMatrix();
+  }
+  const Eigen::Vector2d turned_m = turn_ * antenna_m.head<2>();
   const Eigen::Vector2d place_m = block.head<2>() + turned_m;
   const Eigen::Vector3d way_m =
       Eigen::Vector3d(place_m.x(), place_m.y(),
@@ -136,7 +142,7 @@ double WindowScene::predict_m(const RangeRow& row, const Eigen::Vector3d& antenn
   const double distance_m = std::max(way_m.norm(), 1e-6);
   const double gamma = model::scale_of(pair.terms);
   const Eigen::Vector3d by = (gamma / distance_m) * way_m;
-  out.antenna = {c * by.x() + s * by.y(), c * by.y() - s * by.x(), by.z()};
+  out.antenna << turn_.transpose() * by.head<2>(), by.z();
   out.block << by.x(), by.y(), by.y() * turned_m.x() - by.x() * turned_m.y();
   return gamma * distance_m + model::offset_m(pair.terms);
 }

@@ -35,14 +35,22 @@ class WindowScene final : public Scene {
     Eigen::Vector3d anchor_m;
     model::TermVector terms;
   };
+  struct Begin {
+    DeadReckoning::Place place;
+    Eigen::Matrix2d back;  // from the frame of the path to that of base_link there
+  };
   void reckon(const DeadReckoning::YawRateError& yaw_rate) const;
 
   const Data& data_;
-  std::vector<double> windows_;  // begin of each, s
-  std::vector<Pair> pairs_;      // RangeRow::anchor is the index here
+  std::vector<model::OdometrySample> odometry_;  // joined
+  std::vector<double> windows_;                  // begin of each, s
+  std::vector<Pair> pairs_;                      // RangeRow::anchor is the index here
   // With the error of the yaw rate that was asked for last.
   mutable std::optional<DeadReckoning> path_;
-  mutable std::vector<DeadReckoning::Place> begins_;  // of the windows
+  mutable std::vector<Begin> begins_;  // of the windows
+  // Rows of a block are asked for one after the other.
+  mutable double turn_rad_ = 0.0;
+  mutable Eigen::Matrix2d turn_ = Eigen::Matrix2d::Identity();
 };
 
 }  // namespace groma::diagnosis
