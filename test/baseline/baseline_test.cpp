@@ -27,8 +27,8 @@ namespace {
 // A surface with slopes, so that no derivative vanishes.
 model::Surface hills() {
   const model::BSpline::Grid grid{.x0_m = -10.0, .y0_m = -10.0, .dx_m = 2.0, .dy_m = 2.0, .nx = 14, .ny = 13};
-  std::vector<double> heights;
-  for (int i = 0; i < grid.nx * grid.ny; ++i) heights.push_back(0.4 * std::sin(1.7 * i));
+  std::vector<double> heights(static_cast<std::size_t>(grid.nx * grid.ny));
+  for (std::size_t i = 0; i < heights.size(); ++i) heights[i] = 0.4 * std::sin(1.7 * static_cast<double>(i));
   return model::BSpline(grid, heights);
 }
 
@@ -162,16 +162,19 @@ TEST(RangePrediction, JacobiansAndCalibrationVarianceAreTheNumericalOnes) {
 // Each block's Jacobian against central differences.
 void expect_numerical(const ceres::CostFunction& cost, std::vector<Eigen::VectorXd> at) {
   const auto evaluate = [&](double** jacobians) {
-    std::vector<const double*> blocks;
-    for (const Eigen::VectorXd& block : at) blocks.push_back(block.data());
+    std::vector<const double*> blocks(at.size());
+    std::transform(at.begin(), at.end(), blocks.begin(),
+                   [](const Eigen::VectorXd& block) { return block.data(); });
     Eigen::VectorXd residual(cost.num_residuals());
     EXPECT_TRUE(cost.Evaluate(blocks.data(), residual.data(), jacobians));
     return residual;
   };
-  std::vector<RowMajor> analytical;
-  std::vector<double*> pointers;
-  for (const Eigen::VectorXd& block : at) analytical.emplace_back(cost.num_residuals(), block.size());
-  for (RowMajor& matrix : analytical) pointers.push_back(matrix.data());
+  std::vector<RowMajor> analytical(at.size());
+  std::vector<double*> pointers(at.size());
+  for (std::size_t i = 0; i < at.size(); ++i) {
+    analytical[i].resize(cost.num_residuals(), at[i].size());
+    pointers[i] = analytical[i].data();
+  }
   evaluate(pointers.data());
   for (std::size_t i = 0; i < at.size(); ++i) {
     const Eigen::VectorXd begin = at[i];

@@ -49,11 +49,8 @@ class PoseFilter : public Method {
   // Moves the pose and the covariance by the held sample; returns the transition's Jacobian.
   Matrix transition(double dt_s) {
     const Eigen::Vector3d measured = velocity_of(held_.sample);
-    Eigen::Vector3d velocity = measured;
-    if constexpr (kSize == 5) {
-      velocity.head<2>() *= 1.0 + odometry_.x();
-      velocity.z() -= odometry_.y();
-    }
+    const Eigen::Vector2d moved_mps = (1.0 + odometry_.x()) * measured.head<2>();
+    const Eigen::Vector3d velocity(moved_mps.x(), moved_mps.y(), measured.z() - odometry_.y());
     const Step moved = step(surface_, pose_, velocity, dt_s);
     Matrix by_state = Matrix::Identity();
     by_state.template topLeftCorner<3, 3>() = moved.by_pose;
@@ -85,7 +82,8 @@ class PoseFilter : public Method {
 
   const model::Surface&
       surface_;  // NOLINT(*-non-private-member-variables-in-classes,*-avoid-const-or-ref-data-members)
-  model::PlanarPose pose_;                              // NOLINT(*-non-private-member-variables-in-classes)
+  model::PlanarPose pose_;  // NOLINT(*-non-private-member-variables-in-classes)
+  // Scale and yaw-rate bias; zero with kSize 3.
   Eigen::Vector2d odometry_ = Eigen::Vector2d::Zero();  // NOLINT(*-non-private-member-variables-in-classes)
   Matrix covariance_;                                   // NOLINT(*-non-private-member-variables-in-classes)
 

@@ -175,6 +175,25 @@ struct InputOptions {
   std::optional<double> plane_z_m;
 };
 
+void add_number(CLI::App& command, const char* name, std::optional<double>& value, const char* help,
+                const char* type) {
+  command
+      .add_option_function<std::string>(
+          name,
+          [&value, name](const std::string& text) {
+            const auto values = parse_list<double>(name, text, "a number");
+            if (values.size() != 1)
+              throw CLI::ValidationError(name, fmt::format("'{}' is not a number", text));
+            value = values.front();
+          },
+          help)
+      ->type_name(type);
+}
+void add_times(CLI::App& command, DriveOptions& options) {
+  add_number(command, "--from", options.from_s, "Use the run from this t_s of the files on, in seconds", "S");
+  add_number(command, "--to", options.to_s, "Use the run up to this t_s of the files, in seconds", "S");
+}
+
 void add_input(CLI::App& command, InputOptions& options) {
   command
       .add_option("DATASET", options.dataset,
@@ -183,23 +202,8 @@ void add_input(CLI::App& command, InputOptions& options) {
   command.add_option("--calibration", options.calibration, "Calibration file that groma calibrate wrote")
       ->type_name("FILE")
       ->required();
-  const auto add_number = [&](const char* name, std::optional<double>& value, const char* help,
-                              const char* type) {
-    command
-        .add_option_function<std::string>(
-            name,
-            [&value, name](const std::string& text) {
-              const auto values = parse_list<double>(name, text, "a number");
-              if (values.size() != 1)
-                throw CLI::ValidationError(name, fmt::format("'{}' is not a number", text));
-              value = values.front();
-            },
-            help)
-        ->type_name(type);
-  };
-  add_number("--from", options.drive.from_s, "Use the run from this t_s of the files on, in seconds", "S");
-  add_number("--to", options.drive.to_s, "Use the run up to this t_s of the files, in seconds", "S");
-  add_number("--plane", options.plane_z_m,
+  add_times(command, options.drive);
+  add_number(command, "--plane", options.plane_z_m,
              "Instead of the surface: a horizontal plane at this height, in metres", "Z");
   const auto add_ids = [&](const char* name, std::vector<model::NodeId>& ids, const char* help) {
     command
@@ -373,6 +377,7 @@ void add_reference(CLI::App& app, Action& action) {
 
 struct TuneOptions {
   std::string method;
+  DriveOptions drive;
   std::vector<std::string> runs;
   std::size_t draws = 40;
   std::uint64_t seed = 1;
@@ -412,7 +417,8 @@ int tune(const TuneOptions& options) {
     const std::size_t at = text.find('=');
     if (at == std::string::npos)
       throw CLI::ValidationError("--runs", fmt::format("'{}' is not DATASET=CALIBRATION", text));
-    inputs.push_back(read_input(text.substr(0, at), text.substr(at + 1), {}, std::nullopt, true, warnings));
+    inputs.push_back(
+        read_input(text.substr(0, at), text.substr(at + 1), options.drive, std::nullopt, true, warnings));
     if (inputs.back()->dataset.ground_truth.empty())
       throw io::DataError({text.substr(0, at)}, "there is no groundtruth.csv", "tune on runs that have one");
   }
@@ -453,6 +459,7 @@ void add_tune(CLI::App& app, Action& action) {
   command->add_option("--runs", options->runs, "Drives with their calibration files")
       ->type_name("DATASET=CALIBRATION")
       ->required();
+  add_times(*command, options->drive);
   command->add_option("--draws", options->draws, "Number of draws besides the plain parameters. Default: 40")
       ->type_name("N");
   command->add_option("--seed", options->seed, "Seed of the draws. Default: 1")->type_name("N");
