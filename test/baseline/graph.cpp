@@ -27,8 +27,9 @@ constexpr double kKeyframe_s = 0.2;
 constexpr double kBiasGrowth = 2.5;
 constexpr double kBiasTimeGrowth = 3.0;
 // Parts of its correlation time over which a slow bias is one unknown.
-constexpr double kBiasParts = 4.0;
-constexpr double kWide = 8.0;  // of the first solve's kernel over the last's
+constexpr double kBiasParts = 2.0;
+constexpr double kWide = 8.0;        // of the first kernel over the last
+constexpr std::size_t kPlaced = 10;  // keyframes
 
 // R with R R^T = covariance, which may be singular.
 Eigen::MatrixXd root_of(const Eigen::MatrixXd& covariance) {
@@ -135,6 +136,7 @@ class Graph::Model {
         {.cost = std::make_unique<OdometryCost>(*drive_.surface, last.chart, next.chart, increment),
          .unknowns = {last.pose.get(), next.pose.get(), &odometry_}});
     keyframes_.push_back(std::move(next));
+    if (options_.window_s <= 0.0 && keyframes_.size() >= placed_ + kPlaced) place();
   }
 
   // Pose after the increment from the last keyframe; theta is not wrapped.
@@ -155,28 +157,11 @@ class Graph::Model {
 
   void solve() {
     const bool slides = options_.window_s > 0.0;
-    ceres::Solver::Options options;
-    options.linear_solver_type = ceres::SPARSE_NORMAL_CHOLESKY;
-    // Without BLAS: the same bytes on each machine.
-    options.sparse_linear_algebra_library_type = ceres::EIGEN_SPARSE;
-    options.logging_type = ceres::SILENT;
-    options.max_num_iterations = slides ? 5 : 30;
-    options.initial_trust_region_radius = 1e8;
-    options.function_tolerance = slides ? 1e-5 : 1e-7;
-    ceres::Solver::Summary summary;
-    const double kernel = options_.parameters.kernel;
-    // New poses come from odometry, far from the optimum in units of the ranges' noise: a wide kernel first.
-    if (kernel > 0.0 && !slides) {
-      ceres::CauchyLoss wide(kWide * kernel);
-      ceres::Problem problem(problem_options());
-      fill(problem, &wide);
-      ceres::Solver::Options rough = options;
-      rough.function_tolerance = 1e-4;
-      ceres::Solve(rough, &problem, &summary);
-    }
+    if (!slides) place();
     ceres::Problem problem(problem_options());
     fill(problem, loss_.get());
-    ceres::Solve(options, &problem, &summary);
+    ceres::Solver::Summary summary;
+    ceres::Solve(slides ? solver_options(5, 1e-5) : solver_options(30, 1e-6), &problem, &summary);
     Keyframe& last = keyframes_.back();
     last.chart = drive_.surface->follow(last.chart, last.pose->value[0], last.pose->value[1]);
     while (slides && keyframes_.size() > 2 && keyframes_.front().t_s < last.t_s - options_.window_s)
@@ -214,6 +199,18 @@ class Graph::Model {
   }
 
  private:
+  static ceres::Solver::Options solver_options(int iterations, double tolerance) {
+    ceres::Solver::Options options;
+    options.linear_solver_type = ceres::SPARSE_NORMAL_CHOLESKY;
+    // Without BLAS: the same bytes on each machine.
+    options.sparse_linear_algebra_library_type = ceres::EIGEN_SPARSE;
+    options.logging_type = ceres::SILENT;
+    options.max_num_iterations = iterations;
+    options.initial_trust_region_radius = 1e8;
+    options.function_tolerance = tolerance;
+    return options;
+  }
+
   static ceres::Problem::Options problem_options() {
     ceres::Problem::Options options;
     options.cost_function_ownership = ceres::DO_NOT_TAKE_OWNERSHIP;
@@ -221,13 +218,37 @@ class Graph::Model {
     return options;
   }
 
-  void fill(ceres::Problem& problem, ceres::LossFunction* loss) {
+  void fill(ceres::Problem& problem, ceres::LossFunction* loss, std::size_t first = 0) {
     std::vector<double*> blocks;
-    for (Factor& factor : factors_) {
+    for (std::size_t i = first; i < factors_.size(); ++i) {
+      Factor& factor = factors_[i];
       blocks.clear();
       for (Unknown* unknown : factor.unknowns) blocks.push_back(unknown->value.data());
       problem.AddResidualBlock(factor.cost.get(), factor.is_range ? loss : nullptr, blocks);
     }
+  }
+
+  // Moves the poses that are new since the last call to their ranges, all else fixed. By odometry alone they
+  // are far from the optimum in units of the ranges' noise, hence first with a wide kernel.
+  void place() {
+    std::set<double*> free;
+    for (std::size_t i = placed_; i < keyframes_.size(); ++i) free.insert(keyframes_[i].pose->value.data());
+    const double kernel = options_.parameters.kernel;
+    ceres::CauchyLoss wide(kernel > 0.0 ? kWide * kernel : 1.0);
+    for (ceres::CauchyLoss* loss : {kernel > 0.0 ? &wide : nullptr, loss_.get()}) {
+      ceres::Problem problem(problem_options());
+      fill(problem, loss, placed_factors_);
+      std::vector<double*> blocks;
+      problem.GetParameterBlocks(&blocks);
+      for (double* block : blocks) {
+        if (free.count(block) == 0) problem.SetParameterBlockConstant(block);
+      }
+      ceres::Solver::Summary summary;
+      ceres::Solve(solver_options(10, 1e-4), &problem, &summary);
+      if (kernel <= 0.0) break;
+    }
+    placed_ = keyframes_.size();
+    placed_factors_ = factors_.size();
   }
 
   void add_prior(Unknown& unknown, const Eigen::VectorXd& per_sigma) {
@@ -335,13 +356,13 @@ class Graph::Model {
     const int rows = factor.cost->num_residuals();
     Eigen::VectorXd residual(rows);
     std::vector<RowMajor> by;
-    std::vector<double*> jacobians;
+    std::vector<double*> jacobians(factor.unknowns.size());
     std::vector<const double*> values;
     for (Unknown* unknown : factor.unknowns) {
       by.emplace_back(rows, unknown->size());
       values.push_back(unknown->value.data());
     }
-    for (RowMajor& matrix : by) jacobians.push_back(matrix.data());
+    std::transform(by.begin(), by.end(), jacobians.begin(), [](RowMajor& matrix) { return matrix.data(); });
     factor.cost->Evaluate(values.data(), residual.data(), jacobians.data());
     double weight = 1.0;
     if (factor.is_range && loss_ != nullptr) {
@@ -364,7 +385,7 @@ class Graph::Model {
   double range_sigma_m_;
   double bias_sigma_m_;
   double bias_time_s_;
-  std::unique_ptr<ceres::LossFunction> loss_;
+  std::unique_ptr<ceres::CauchyLoss> loss_;
   Unknown odometry_;
   Unknown frame_;
   std::vector<std::unique_ptr<Unknown>> anchors_;
@@ -373,6 +394,8 @@ class Graph::Model {
   std::vector<std::deque<SlowBias>> biases_;
   std::deque<Keyframe> keyframes_;
   std::vector<Factor> factors_;
+  std::size_t placed_ = 0;  // number of keyframes and factors at the last place()
+  std::size_t placed_factors_ = 0;
 };
 
 Graph::Graph(const Drive& drive, const GraphOptions& options)

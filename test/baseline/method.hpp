@@ -70,7 +70,7 @@ struct Outcome {
   std::vector<AnchorRow> anchors;  // each second
   std::size_t ranges = 0;          // used
   std::size_t rejected = 0;
-  // Mean wall times: of a range, of an odometry sample (motion and estimate), and of both for each range.
+  // Mean CPU times: of a range, of an odometry sample (motion and estimate), and of both for each range.
   double ns_per_range = 0.0;
   double ns_per_odometry = 0.0;
   double ns_in_all_per_range = 0.0;
