@@ -316,6 +316,7 @@ struct ReferenceOptions {
   InputOptions input;
   std::vector<double> instants_s;
   std::filesystem::path output;
+  std::optional<double> kernel;
   bool tuned = false;
   bool json = false;
 };
@@ -325,7 +326,9 @@ int run_reference(const ReferenceOptions& options) {
   Warnings warnings;
   const std::unique_ptr<Input> input = read_input(options.input, false, warnings);
   const MethodInfo& method = *find_method("ceres-batch");
-  CeresBatch reference(*input->drive, options.tuned ? method.tuned : method.plain, options.instants_s);
+  Parameters parameters = options.tuned ? method.tuned : method.plain;
+  parameters.kernel = options.kernel.value_or(parameters.kernel);
+  CeresBatch reference(*input->drive, parameters, options.instants_s);
   const Outcome outcome = run(*input->drive, reference);
   if (outcome.rows.empty()) {
     throw io::DataError({options.input.dataset}, "no instant is within the drive",
@@ -338,6 +341,7 @@ int run_reference(const ReferenceOptions& options) {
   if (options.json) {
     say(Json{{"method", method.name},
              {"tuned", options.tuned},
+             {"parameters", to_json(parameters, method)},
              {"estimate", options.output.string()},
              {"rows", outcome.rows.size()},
              {"ranges", outcome.ranges},
@@ -369,6 +373,8 @@ void add_reference(CLI::App& app, Action& action) {
       ->type_name("FILE")
       ->required();
   command->add_flag("--tuned", options->tuned, "With a robust kernel against NLOS, as ceres-batch is tuned");
+  add_number(*command, "--kernel", options->kernel,
+             "Scale of the robust kernel, in sigmas of a range; 0: none. Default: that of the method", "K");
   command->add_flag("--json", options->json, "Print one JSON object");
   command->callback([options, &action] { action = [options] { return run_reference(*options); }; });
 }

@@ -86,7 +86,7 @@ const std::vector<MethodInfo>& methods() {
       {.name = "ceres-window",
        .text = "factor graph over a sliding window of 4 s, marginalized",
        .plain = {.window_s = 4.0},
-       .tuned = {.window_s = 4.0},
+       .tuned = {.kernel = 1.0, .window_s = 4.0},
        .searched = {kRangeFactor, kOdometryFactor, kKernel},
        .make = make<CeresWindow>},
       {.name = "ceres-batch",
