@@ -32,6 +32,7 @@ void add_nodes(CLI::App& app, Action& action);
 void add_plan(CLI::App& app, Action& action);
 void add_record(CLI::App& app, Action& action);
 void add_replay(CLI::App& app, Action& action);
+void add_reproduce(CLI::App& app, Action& action);
 void add_sim(CLI::App& app, Action& action);
 void add_smooth(CLI::App& app, Action& action);
 void add_surface(CLI::App& app, Action& action);

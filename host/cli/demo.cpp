@@ -12,7 +12,7 @@
 
 #include <CLI/CLI.hpp>
 
-#include "firmware/sim/world/paper_hall.hpp"
+#include "firmware/sim/world/built_in_scenarios.hpp"
 #include "firmware/sim/world/scenario_file.hpp"
 #include "host/cli/command.hpp"
 #include "host/cli/demo_report.hpp"

@@ -55,6 +55,7 @@ int run(int argc, char** argv) {
   add_plan(app, action);
   add_record(app, action);
   add_replay(app, action);
+  add_reproduce(app, action);
   add_sim(app, action);
   add_smooth(app, action);
   add_surface(app, action);

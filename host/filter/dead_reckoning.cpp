@@ -40,6 +40,14 @@ constexpr double kGyroHold_s = 0.2;
 
 using model::square;
 
+// The yaw rate is wrong by the same share all along a curve: white noise that adds up to as much over this
+// time. By hand: a quarter turn at 0.35 rad/s.
+constexpr double kCurve_s = 4.5;
+double curve_variance(const model::OdometryNoise& noise, double omega_radps, double interval_s) noexcept {
+  if (noise.sigma_curve == 0.0 || !(interval_s > 0.0)) return 0.0;
+  return square(noise.sigma_curve * omega_radps) * std::max(kCurve_s / interval_s, 1.0);
+}
+
 }  // namespace
 
 bool Gyro::follows(const model::YawRateSample& sample, double odometry_radps,
@@ -116,6 +124,7 @@ bool DeadReckoning<Covariance>::hold(const model::OdometrySample& sample) noexce
   OdometryInflation inflation;
   if (now.has_sample && !model::is_ablated(model::Mechanism::kOdometryWatch))
     inflation = now.watch.judge(now.odometry, held, noise);
+  inflation.turn_rad2ps2 += curve_variance(noise, held.omega_radps, sample.t_s - now.odometry.t_s);
   if (keeps_cross(config.model)) {
     if (config.tunes_noise) now.odometry_tuning.observe(sample);
     const OdometryInflation slip = now.slip.judge(std::max(sample.t_s - now.odometry.t_s, 0.0));

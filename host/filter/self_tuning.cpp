@@ -98,7 +98,7 @@ void OdometryTuning::adjust(Factor& factor, double difference, double nominal) n
 
 model::OdometryNoise OdometryTuning::noise() const noexcept {
   return {nominal_.sigma_vx_mps * velocity_.value, nominal_.sigma_vy_mps * velocity_.value,
-          nominal_.sigma_omega_radps * turn_.value};
+          nominal_.sigma_omega_radps * turn_.value, nominal_.sigma_curve};
 }
 
 }  // namespace groma::filter

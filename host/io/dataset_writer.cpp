@@ -56,8 +56,10 @@ std::string format_description(const Dataset& dataset) {
   std::string text = "schema: 1\n";
   add(text, "name: {}\norigin: {}\n", double_quoted(dataset.name), double_quoted(dataset.origin));
   const model::OdometryNoise& odometry = dataset.odometry_noise;
-  add(text, "odometry: {{sigma_vx_mps: {}, sigma_vy_mps: {}, sigma_omega_radps: {}}}  # white\n",
-      odometry.sigma_vx_mps, odometry.sigma_vy_mps, odometry.sigma_omega_radps);
+  add(text, "odometry: {{sigma_vx_mps: {}, sigma_vy_mps: {}, sigma_omega_radps: {}", odometry.sigma_vx_mps,
+      odometry.sigma_vy_mps, odometry.sigma_omega_radps);
+  if (odometry.sigma_curve > 0.0) add(text, ", sigma_curve: {}", odometry.sigma_curve);
+  text += "}\n";
   const model::RangePriors& range = dataset.range_priors;
   add(text, "range: {{sigma_m: {}", range.sigma_m);
   for (const model::PairTerm& term : model::kPairTerms) {

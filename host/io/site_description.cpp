@@ -318,13 +318,17 @@ model::Surface parse_surface(const YamlValue& yaml, const std::filesystem::path&
 YamlType odometry_noise_type() {
   return YamlType::map({{"sigma_vx_mps", YamlType::positive(), "Of the speed along x, m/s."},
                         {"sigma_vy_mps", YamlType::positive(), "Of the speed along y, m/s."},
-                        {"sigma_omega_radps", YamlType::positive(), "Of the yaw rate, rad/s."}});
+                        {"sigma_omega_radps", YamlType::positive(), "Of the yaw rate, rad/s."},
+                        {"sigma_curve", YamlType::positive(),
+                         "Of the relative error of the yaw rate in a curve; not white.", false}});
 }
 
 model::OdometryNoise parse_odometry_noise(const YamlValue& yaml) {
   odometry_noise_type().expect(yaml);
-  return {yaml.at("sigma_vx_mps").number(), yaml.at("sigma_vy_mps").number(),
-          yaml.at("sigma_omega_radps").number()};
+  model::OdometryNoise out{yaml.at("sigma_vx_mps").number(), yaml.at("sigma_vy_mps").number(),
+                           yaml.at("sigma_omega_radps").number()};
+  if (const auto curve = yaml.find("sigma_curve")) out.sigma_curve = curve->number();
+  return out;
 }
 
 YamlType steering_type() {
@@ -333,7 +337,9 @@ YamlType steering_type() {
        {"rear_axle_x_m", YamlType::number(), "Place of the rear axle along base_link's x, m.", false},
        {"sigma_speed_mps", YamlType::positive(), "Of the wheel speed, m/s.", false},
        {"sigma_steering_rad", YamlType::positive(), "Of the steering angle, rad.", false},
-       {"sigma_side_mps", YamlType::positive(), "Of the rear axle's sideways slip, m/s.", false}});
+       {"sigma_side_mps", YamlType::positive(), "Of the rear axle's sideways slip, m/s.", false},
+       {"sigma_curve", YamlType::positive(), "Of the relative error of the yaw rate in a curve; not white.",
+        false}});
 }
 
 model::Steering parse_steering(const YamlValue& yaml) {
@@ -346,6 +352,7 @@ model::Steering parse_steering(const YamlValue& yaml) {
   take("sigma_speed_mps", out.sigma_speed_mps);
   take("sigma_steering_rad", out.sigma_steering_rad);
   take("sigma_side_mps", out.sigma_side_mps);
+  take("sigma_curve", out.sigma_curve);
   return out;
 }
 

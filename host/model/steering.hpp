@@ -13,13 +13,14 @@ struct SteeringSample {
   double steering_rad = 0.0;  // of the front wheel; positive to the left
 };
 
-// A vehicle whose rear axle is parallel to base_link's y. The sigmas are of white noise.
+// A vehicle whose rear axle is parallel to base_link's y. The sigmas are of white noise, but for sigma_curve.
 struct Steering {
   double wheelbase_m = 1.0;
   double rear_axle_x_m = 0.0;  // of the rear axle's middle in base_link
   double sigma_speed_mps = 0.05;
   double sigma_steering_rad = 0.01;
   double sigma_side_mps = 0.02;  // of the rear axle's sideways slip
+  double sigma_curve = 0.03;     // of the relative error of the yaw rate in a curve: wheelbase, understeer
 };
 
 // Nearly a quarter turn: no front wheel turns further. In other units it would be more.
@@ -38,7 +39,7 @@ inline constexpr double kMostSteering_rad = 1.5;
   constexpr double kSpeed_mps = 1.0;
   const double sigma_radps = kSpeed_mps * vehicle.sigma_steering_rad / vehicle.wheelbase_m;
   return {vehicle.sigma_speed_mps, std::hypot(vehicle.sigma_side_mps, sigma_radps * vehicle.rear_axle_x_m),
-          sigma_radps};
+          sigma_radps, vehicle.sigma_curve};
 }
 
 }  // namespace groma::model

@@ -199,6 +199,9 @@ struct OdometryNoise {
   double sigma_vx_mps = 0.05;
   double sigma_vy_mps = 0.05;
   double sigma_omega_radps = 0.01;
+  // Not white: of the relative error of the yaw rate, which lasts as long as a curve (wheelbase or track
+  // width, slip of the wheels).
+  double sigma_curve = 0.0;
 };
 
 }  // namespace groma::model

@@ -12,55 +12,17 @@
 #include "host/daemon/calibration_drive.hpp"
 #include "host/daemon/localizer.hpp"
 #include "host/io/error.hpp"
-#include "host/model/samples.hpp"
+#include "host/simulation/drive_dataset.hpp"
 #include "host/simulation/lock_step.hpp"
 
 namespace groma::simulation {
 
 namespace {
 
-constexpr double kTruthRate_hz = 25.0;
 constexpr double kProgressStep_s = 1.0;
 
 double seconds_since(std::chrono::steady_clock::time_point begin) {
   return std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
-}
-
-// Stores the session's measurements in a data set.
-class Recorder : public daemon::MeasurementSink {
- public:
-  explicit Recorder(io::Dataset& dataset) : dataset_(dataset) {}
-
-  void on_odometry(const model::OdometrySample& sample) override { dataset_.odometry.push_back(sample); }
-  void on_range(const model::RangeSample& range) override { dataset_.ranges.push_back(range); }
-  void on_pose_prior(const model::PoseSample& pose) override { dataset_.pose_prior.push_back(pose); }
-  void on_clock_set() override {}
-
- private:
-  io::Dataset& dataset_;
-};
-
-io::Dataset empty_dataset(const sim::Scenario& scenario, const std::string& drive) {
-  io::Dataset dataset;
-  dataset.name = fmt::format("{}/{}", scenario.name, drive);
-  dataset.origin = "simulated";
-  dataset.odometry_noise = scenario.odometry.noise;
-  dataset.range_priors = {scenario.range_sigma_m, scenario.biases.beta_m, scenario.biases.gamma};
-  dataset.surface = scenario.ground;
-  dataset.surveyed_anchors = scenario.anchors;
-  dataset.tags = scenario.tags;
-  return dataset;
-}
-
-// Sorts measurements that arrived late by time, and adds the truth.
-void complete(io::Dataset& dataset, const sim::World& world, const sim::DriveTime& time) {
-  model::sort_ranges(dataset.ranges);
-  const auto by_time = [](const auto& a, const auto& b) { return a.t_s < b.t_s; };
-  std::stable_sort(dataset.odometry.begin(), dataset.odometry.end(), by_time);
-  std::stable_sort(dataset.pose_prior.begin(), dataset.pose_prior.end(), by_time);
-  for (double row = std::ceil(time.begin_s * kTruthRate_hz); row <= time.end_s * kTruthRate_hz; row += 1.0) {
-    dataset.ground_truth.push_back(world.robot().truth(row / kTruthRate_hz));
-  }
 }
 
 model::PlanarEstimate planar(const daemon::PoseEstimate& pose) {
@@ -110,7 +72,7 @@ DemoResult run_demo(const sim::Scenario& scenario, const DemoOptions& options) {
   result.second_drive = empty_dataset(scenario, second.name);
 
   {
-    Recorder recorder(result.first_drive);
+    DriveRecorder recorder(result.first_drive);
     daemon::CalibrationDrive drive(scenario.tags, scenario.ground, result.first_drive.range_priors);
     site.session().attach(recorder);
     site.session().attach(drive);
@@ -139,7 +101,7 @@ DemoResult run_demo(const sim::Scenario& scenario, const DemoOptions& options) {
         [&run](const daemon::PoseEstimate& pose) { run.estimate.push_back(planar(pose)); }));
     site.session().attach(*localizers.back());
   }
-  Recorder recorder(result.second_drive);
+  DriveRecorder recorder(result.second_drive);
   site.session().attach(recorder);
   run_until(second.end_s, "second drive");
   site.session().flush();

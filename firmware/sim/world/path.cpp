@@ -231,6 +231,7 @@ Path::Path(const std::vector<Waypoint>& waypoints, const PathOptions& options)
   for (const std::size_t i : geometry.gear_changes)
     stations[i].stop_s = std::max(stations[i].stop_s, kGearChange_s);
   least_radius_m_ = geometry.least_radius_m;
+  gear_changes_ = geometry.gear_changes.size();
   const std::vector<double> theta = headings(geometry, stations, options.drive);
   const std::vector<double> speed = speeds(geometry, theta, stations, options);
   const Timing time = timing(geometry, speed, stations);

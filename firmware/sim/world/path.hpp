@@ -50,6 +50,8 @@ class Path {
   [[nodiscard]] const std::vector<double>& waypoint_times_s() const noexcept { return waypoint_times_s_; }
   // Of the corners; infinite if there are none.
   [[nodiscard]] double least_radius_m() const noexcept { return least_radius_m_; }
+  // How often a car doubles back.
+  [[nodiscard]] std::size_t gear_changes() const noexcept { return gear_changes_; }
   // Before the start and after the end of the path the robot is stationary; a looping path repeats.
   [[nodiscard]] PlanarMotion at(double t_s) const noexcept;
 
@@ -62,6 +64,7 @@ class Path {
   std::vector<Knot> knots_;
   std::vector<double> waypoint_times_s_;
   double least_radius_m_;
+  std::size_t gear_changes_ = 0;
   bool loop_ = false;
 };
 

@@ -82,15 +82,27 @@ model::OdometrySample Robot::mean_velocity(std::uint64_t k) const {
   return row;
 }
 
+double Robot::noise_factor(double t_s) const noexcept {
+  double out = 1.0;
+  const PlanarMotion at = path_.at(t_s);
+  for (const SlipperyArea& area : odometry_.areas) {
+    if (at.x_m >= area.from_m.x() && at.x_m <= area.to_m.x() && at.y_m >= area.from_m.y() &&
+        at.y_m <= area.to_m.y())
+      out = area.noise_factor;
+  }
+  return out;
+}
+
 model::OdometrySample Robot::odometry(std::uint64_t k) const {
   if (odometry_.car) return model::to_odometry(steering(k), odometry_.car->vehicle);
   model::OdometrySample row = mean_velocity(k);
   const double scale = 1.0 + random_.of(kScale).normal(0.0, odometry_.scale_sigma);
   const double bias_radps = random_.of(kYawRateBias).normal(0.0, odometry_.yaw_rate_bias_sigma_radps);
   const KeyedRandom white = random_.of(kOdometryRow, k);
-  row.vx_mps = scale * row.vx_mps + white.of(0).normal(0.0, odometry_.noise.sigma_vx_mps);
-  row.vy_mps = scale * row.vy_mps + white.of(1).normal(0.0, odometry_.noise.sigma_vy_mps);
-  row.omega_radps += bias_radps + white.of(2).normal(0.0, odometry_.noise.sigma_omega_radps);
+  const double noise = noise_factor(row.t_s);
+  row.vx_mps = scale * row.vx_mps + white.of(0).normal(0.0, noise * odometry_.noise.sigma_vx_mps);
+  row.vy_mps = scale * row.vy_mps + white.of(1).normal(0.0, noise * odometry_.noise.sigma_vy_mps);
+  row.omega_radps += bias_radps + white.of(2).normal(0.0, noise * odometry_.noise.sigma_omega_radps);
   return row;
 }
 
@@ -103,12 +115,13 @@ model::SteeringSample Robot::steering(std::uint64_t k) const {
   const double rolled_rad =
       std::abs(moved.vx_mps) < kStands_mps ? 0.0 : std::atan(moved.omega_radps * wheelbase_m / moved.vx_mps);
   const KeyedRandom white = random_.of(kOdometryRow, k);
+  const double noise = noise_factor(moved.t_s);
   model::SteeringSample row{.t_s = moved.t_s};
   row.speed_mps = moved.vx_mps * (1.0 + random_.of(kScale).normal(0.0, odometry_.scale_sigma)) +
-                  white.of(0).normal(0.0, car.vehicle.sigma_speed_mps);
+                  white.of(0).normal(0.0, noise * car.vehicle.sigma_speed_mps);
   row.steering_rad = rolled_rad * (1.0 + car.understeer_s2pm2 * moved.vx_mps * moved.vx_mps) +
                      random_.of(kSteeringOffset).normal(0.0, car.steering_offset_sigma_rad) +
-                     white.of(1).normal(0.0, car.vehicle.sigma_steering_rad);
+                     white.of(1).normal(0.0, noise * car.vehicle.sigma_steering_rad);
   return row;
 }
 

@@ -5,6 +5,8 @@
 #include <optional>
 #include <vector>
 
+#include <Eigen/Core>
+
 #include "firmware/sim/keyed_random.hpp"
 #include "firmware/sim/world/path.hpp"
 #include "host/model/pose.hpp"
@@ -31,6 +33,13 @@ struct WheelSlip {
   double scale = 1.0;
 };
 
+// A rectangle of the floor plan on which wheels grip worse: the white noise is so many times as large.
+struct SlipperyArea {
+  Eigen::Vector2d from_m = Eigen::Vector2d::Zero();
+  Eigen::Vector2d to_m = Eigen::Vector2d::Zero();
+  double noise_factor = 1.0;
+};
+
 struct OdometryOptions {
   double rate_hz = 50.0;
   model::OdometryNoise noise{0.02, 0.02, 0.006};
@@ -38,6 +47,7 @@ struct OdometryOptions {
   double yaw_rate_bias_sigma_radps = 0.001;  // of the constant bias; not of a car
   std::optional<CarOdometryOptions> car{};
   std::vector<WheelSlip> slips{};
+  std::vector<SlipperyArea> areas{};
 };
 
 // Of such a car, otherwise with the defaults.
@@ -91,6 +101,7 @@ class Robot {
  private:
   // The mean over the interval of sample k, without errors but slips.
   [[nodiscard]] model::OdometrySample mean_velocity(std::uint64_t k) const;
+  [[nodiscard]] double noise_factor(double t_s) const noexcept;
 
   model::Surface ground_;
   Path path_;

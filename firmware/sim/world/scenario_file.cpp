@@ -270,7 +270,13 @@ RobotOptions parse_robot(const YamlValue& map) {
 
 void expect_corners_of_a_car(const YamlValue& drives, const Scenario& scenario, const RobotOptions& robot) {
   const double least_m = robot.wheelbase_m / std::tan(robot.max_steering_rad);
-  const double radius_m = Path(joined(scenario.drives), scenario.path).least_radius_m();
+  const Path path(joined(scenario.drives), scenario.path);
+  if (scenario.path.loop && path.gear_changes() % 2 != 0) {
+    drives.fail(
+        fmt::format("reverse {} times in a loop, which would end in the other gear", path.gear_changes()),
+        "let the path double back once more, or remove robot.loop");
+  }
+  const double radius_m = path.least_radius_m();
   if (radius_m >= least_m) return;
   drives.fail(
       fmt::format("have a corner with a radius of {:.2f} m, but the car needs {:.2f} m", radius_m, least_m),
@@ -324,17 +330,28 @@ std::vector<WheelSlip> parse_slips(const YamlValue& list) {
   return slips;
 }
 
+std::vector<SlipperyArea> parse_areas(const YamlValue& list) {
+  std::vector<SlipperyArea> areas;
+  for (const YamlValue& entry : list.list()) {
+    entry.expect_keys({{"from_m", "to_m", "noise_factor"}});
+    areas.push_back(
+        {point2(entry.at("from_m")), point2(entry.at("to_m")), positive(entry, "noise_factor", 1.0)});
+  }
+  return areas;
+}
+
 // The odometry of a car.
 OdometryOptions parse_car_odometry(const YamlValue& map, double wheelbase_m) {
   map.expect_keys(
       {{},
-       {"rate_hz", "scale_sigma", "slips", "sigma_speed_mps", "sigma_steering_rad", "sigma_side_mps",
-        "wheelbase_scale_sigma", "steering_offset_sigma_rad", "understeer_s2pm2"}});
+       {"rate_hz", "scale_sigma", "slips", "areas", "sigma_speed_mps", "sigma_steering_rad", "sigma_side_mps",
+        "sigma_curve", "wheelbase_scale_sigma", "steering_offset_sigma_rad", "understeer_s2pm2"}});
   model::Steering vehicle{.wheelbase_m = wheelbase_m};
   const auto take = [&](std::string_view key, double& value) { value = not_negative(map, key, value); };
   take("sigma_speed_mps", vehicle.sigma_speed_mps);
   take("sigma_steering_rad", vehicle.sigma_steering_rad);
   take("sigma_side_mps", vehicle.sigma_side_mps);
+  take("sigma_curve", vehicle.sigma_curve);
   OdometryOptions options = odometry_of(vehicle);
   take("wheelbase_scale_sigma", options.car->wheelbase_scale_sigma);
   take("steering_offset_sigma_rad", options.car->steering_offset_sigma_rad);
@@ -342,15 +359,17 @@ OdometryOptions parse_car_odometry(const YamlValue& map, double wheelbase_m) {
   take("scale_sigma", options.scale_sigma);
   options.rate_hz = positive(map, "rate_hz", options.rate_hz);
   if (const auto slips = map.find("slips")) options.slips = parse_slips(*slips);
+  if (const auto areas = map.find("areas")) options.areas = parse_areas(*areas);
   return options;
 }
 
 OdometryOptions parse_odometry(const YamlValue& map) {
   map.expect_keys({{},
                    {"rate_hz", "sigma_vx_mps", "sigma_vy_mps", "sigma_omega_radps", "scale_sigma",
-                    "yaw_rate_bias_sigma_radps", "slips"}});
+                    "yaw_rate_bias_sigma_radps", "slips", "areas"}});
   OdometryOptions options;
   if (const auto slips = map.find("slips")) options.slips = parse_slips(*slips);
+  if (const auto areas = map.find("areas")) options.areas = parse_areas(*areas);
   options.rate_hz = positive(map, "rate_hz", options.rate_hz);
   options.noise.sigma_vx_mps = not_negative(map, "sigma_vx_mps", options.noise.sigma_vx_mps);
   options.noise.sigma_vy_mps = not_negative(map, "sigma_vy_mps", options.noise.sigma_vy_mps);

@@ -178,6 +178,28 @@ TEST(Filter, KeepsTheHeadingWithinHalfATurnOnACircle) {
   }
 }
 
+// Heading variance that a quarter turn adds, at a rate of samples.
+double turn_variance_rad2(double sigma_curve, double interval_s) {
+  Config config = testing::config_of(Model::kSchmidt);
+  config.odometry.sigma_curve = sigma_curve;
+  Filter filter(testing::hills(0.0), testing::three_tags(), testing::six_anchors(), config);
+  filter.start({.t_s = 0.0});
+  constexpr double kOmega_radps = 0.35;
+  constexpr double kDuration_s = 4.5;
+  for (int i = 0; i * interval_s < kDuration_s; ++i)
+    filter.process(model::OdometrySample{interval_s * i, 1.0, 0.0, kOmega_radps});
+  return filter.estimate().covariance(2, 2);
+}
+
+TEST(Filter, AWrongWheelbaseAddsToTheHeadingInACurveAtAnyRate) {
+  constexpr double kSigma = 0.03;
+  const double expected_rad = kSigma * 0.35 * 4.5;
+  for (const double interval_s : {0.02, 0.1}) {
+    const double added_rad2 = turn_variance_rad2(kSigma, interval_s) - turn_variance_rad2(0.0, interval_s);
+    EXPECT_NEAR(std::sqrt(added_rad2), expected_rad, 0.1 * expected_rad) << interval_s;
+  }
+}
+
 TEST(Filter, SeveralStepsWithinAnOdometrySampleEqualOneStep) {
   const model::Surface flat;
   const auto once = make_filter(Model::kSchmidt, flat);

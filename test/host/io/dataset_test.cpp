@@ -90,6 +90,7 @@ TEST_F(DatasetTest, ReadsTheSteeringOfACarInPlaceOfOdometry) {
   EXPECT_EQ(data.odometry[1].omega_radps, 0.0);
   EXPECT_EQ(data.dropped.repeated, 1U);
   EXPECT_EQ(data.odometry_noise.sigma_vx_mps, 0.03);
+  EXPECT_EQ(data.odometry_noise.sigma_curve, model::Steering{}.sigma_curve);
   EXPECT_EQ(odometry_file(folder_.path()), folder_ / "steering.csv");
 
   folder_.write("steering.csv", "t_s,speed_mps,steering_rad\n0,1,0.5\n0.1,1,28.6\n");

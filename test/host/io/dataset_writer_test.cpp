@@ -30,8 +30,8 @@ auto members(const Dataset& of) {
                   sha256);
 }
 auto members(const model::OdometryNoise& of) {
-  const auto& [vx, vy, omega] = of;
-  return std::tie(vx, vy, omega);
+  const auto& [vx, vy, omega, curve] = of;
+  return std::tie(vx, vy, omega, curve);
 }
 auto members(const model::ScalarPrior& of) {
   const auto& [mean, sigma] = of;
@@ -174,7 +174,7 @@ Dataset sample() {
   Dataset dataset;
   dataset.name = "a \"quoted\" \\ name: 1";
   dataset.origin = "simulated";
-  dataset.odometry_noise = {0.021, 0.032, 0.0061};
+  dataset.odometry_noise = {0.021, 0.032, 0.0061, 0.04};
   dataset.range_priors.sigma_m = 0.07;
   for (const model::PairTerm& term : model::kPairTerms)
     dataset.range_priors.*term.prior = {term.neutral + 0.2, 0.3};

@@ -44,6 +44,7 @@ TEST(Steering, NoiseOfTheYawRateIsThatOfTheSteering) {
   const OdometryNoise noise = noise_of(vehicle);
   EXPECT_EQ(noise.sigma_vx_mps, 0.03);
   EXPECT_EQ(noise.sigma_vy_mps, vehicle.sigma_side_mps);
+  EXPECT_EQ(noise.sigma_curve, vehicle.sigma_curve);
   const double ahead = to_odometry({.speed_mps = 1.0, .steering_rad = 0.02}, vehicle).omega_radps;
   EXPECT_NEAR(noise.sigma_omega_radps, ahead, 1e-4 * ahead + 1e-6);
 }

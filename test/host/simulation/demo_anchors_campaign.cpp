@@ -9,7 +9,7 @@
 
 #include <Eigen/Cholesky>
 
-#include "firmware/sim/world/paper_hall.hpp"
+#include "firmware/sim/world/built_in_scenarios.hpp"
 #include "firmware/sim/world/scenario.hpp"
 #include "firmware/sim/world/world.hpp"
 #include "host/daemon/calibration_drive.hpp"

@@ -5,7 +5,7 @@
 #include <memory>
 #include <vector>
 
-#include "firmware/sim/world/paper_hall.hpp"
+#include "firmware/sim/world/built_in_scenarios.hpp"
 #include "host/simulation/demo.hpp"
 #include "host/simulation/lock_step.hpp"
 #include "test/host/simulation/small_site.hpp"

@@ -165,7 +165,7 @@ TEST(LockStep, LocalizesACar) {
   EXPECT_GT(backwards_m, 6.0);
   EXPECT_EQ(run.session().counters().steering_unknown, 0U);
   EXPECT_LT(std::sqrt(squares.position_m2 / count), 0.02);
-  EXPECT_LT(squares.nees / count, 4.0);
+  EXPECT_LT(squares.nees / count, 2.0);
 }
 
 TEST(LockStep, ASeedGivesOneResult) {

@@ -56,6 +56,28 @@ TEST(Robot, BodyVelocityIsTheNumericalDerivativeOfThePose) {
   EXPECT_GT(steepest, 0.05) << "the test has to be on a slope";
 }
 
+TEST(Robot, OdometryIsNoisierInASlipperyArea) {
+  OdometryOptions options;
+  options.areas = {{{4.0, -10.0}, {20.0, 10.0}, 5.0}};
+  const Robot subject = robot(options, {});
+  const Robot exact = robot(exact_odometry(), {});
+  const auto spread = [&](bool is_inside) {
+    double squares = 0.0;
+    double count = 0.0;
+    for (std::uint64_t k = 0; k < 1500; ++k) {
+      const model::OdometrySample sample = subject.odometry(k);
+      const double x_m = subject.truth(sample.t_s).x_m;
+      if ((x_m > 4.0) != is_inside) continue;
+      squares += std::pow(sample.vy_mps - exact.odometry(k).vy_mps, 2);
+      count += 1.0;
+    }
+    EXPECT_GT(count, 300.0);
+    return std::sqrt(squares / count);
+  };
+  EXPECT_NEAR(spread(false), options.noise.sigma_vy_mps, 0.15 * options.noise.sigma_vy_mps);
+  EXPECT_NEAR(spread(true), 5.0 * options.noise.sigma_vy_mps, 0.75 * options.noise.sigma_vy_mps);
+}
+
 TEST(Robot, TouchesTheGroundAndIsParallelToIt) {
   const Robot subject = robot({}, {});
   for (double t = 0.0; t < subject.path().duration_s(); t += 0.5) {

@@ -50,7 +50,9 @@ TEST(ScenarioFile, ReadsACar) {
   const std::string car =
       with("drives:",
            "robot: {drive: car, wheelbase_m: 2, max_steering_rad: 0.6, corner_radius_m: 3}\n"
-           "odometry: {sigma_steering_rad: 0.004, slips: [{at_s: 4, duration_s: 0.5, scale: 1.5}]}\ndrives:");
+           "odometry: {sigma_steering_rad: 0.004, sigma_curve: 0.05, slips: [{at_s: 4, duration_s: 0.5, "
+           "scale: 1.5}],"
+           " areas: [{from_m: [1, -1], to_m: [2, 1], noise_factor: 3}]}\ndrives:");
   const Scenario scenario = parse_scenario("site.yaml", car);
   ASSERT_TRUE(scenario.odometry.car);
   EXPECT_EQ(scenario.path.drive, Drive::kCar);
@@ -58,6 +60,9 @@ TEST(ScenarioFile, ReadsACar) {
   EXPECT_EQ(scenario.odometry.noise.sigma_omega_radps, 0.002);
   ASSERT_EQ(scenario.odometry.slips.size(), 1U);
   EXPECT_EQ(scenario.odometry.slips[0].to_s, 4.5);
+  EXPECT_EQ(scenario.odometry.noise.sigma_curve, 0.05);
+  ASSERT_EQ(scenario.odometry.areas.size(), 1U);
+  EXPECT_EQ(scenario.odometry.areas[0].to_m, Eigen::Vector2d(2.0, 1.0));
 
   const std::string corner = "      - {at_m: [3, 0], stop_s: 1}\n";
   std::string tight = car;
@@ -66,6 +71,12 @@ TEST(ScenarioFile, ReadsACar) {
   std::string back = car;
   back.replace(back.find(corner), corner.size(), corner + "      - {at_m: [-9, 0]}\n");
   EXPECT_EQ(error_of(back), "no error");
+  std::string loop = car;
+  loop.replace(loop.find("radius_m: 3"), 11, "radius_m: 3, loop: true");
+  loop.replace(loop.find(corner), corner.size(),
+               "      - {at_m: [20, 0]}\n      - {at_m: [10, 0]}\n      - {at_m: [10, 10]}\n      - {at_m: "
+               "[0, 10]}\n");
+  EXPECT_THAT(error_of(loop), testing::HasSubstr("reverse 1 times in a loop"));
   EXPECT_THAT(error_of(with("drives:", "robot: {wheelbase_m: 2}\ndrives:")),
               testing::HasSubstr("robot.wheelbase_m is for a car"));
   EXPECT_THAT(error_of(with("drives:", "robot: {drive: car, max_steering_rad: 30}\ndrives:")),

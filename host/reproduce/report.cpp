@@ -1,0 +1,467 @@
+#include "host/reproduce/report.hpp"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <functional>
+#include <utility>
+
+#include "host/model/types.hpp"
+#include "host/report/series.hpp"
+#include "host/reproduce/paper.hpp"
+#include "host/reproduce/sensitivity.hpp"
+#include "host/reproduce/tables.hpp"
+
+namespace groma::reproduce {
+
+namespace {
+
+using Eigen::Vector2d;
+using report::Cell;
+using report::Chart;
+using report::Ink;
+using report::Page;
+
+constexpr double kLowestError_m = 1e-3;
+
+struct Column {
+  const char* title;
+  const char* figure;
+  const char* statistic;
+  double PaperStatistic::*of_paper;
+  PaperStatistic PaperRow::*row;
+  const char* format;
+};
+constexpr std::array kPosition{
+    Column{"ATE mean m", "ate_m", "mean", &PaperStatistic::mean, &PaperRow::ate_m, "{:.3f}"},
+    Column{"ATE max m", "ate_m", "max", &PaperStatistic::max, &PaperRow::ate_m, "{:.3f}"}};
+constexpr std::array kHeading{
+    Column{"heading mean rad", "ate_rad", "mean", &PaperStatistic::mean, &PaperRow::ate_rad, "{:.3f}"},
+    Column{"NEES mean", "nees", "mean", &PaperStatistic::mean, &PaperRow::nees, "{:.1f}"}};
+
+std::string number(double value, const char* format) {
+  return std::isfinite(value) ? fmt::format(fmt::runtime(format), value) : "–";
+}
+
+std::string text_of(const Band& band, const char* format) {
+  if (band.count == 0) return "–";
+  const std::string median = number(band.median, format);
+  if (band.count == 1) return median;
+  return fmt::format("{} ({}–{})", median, number(band.low, format), number(band.high, format));
+}
+
+double paper_value(const TableRow& row, const Column& column) {
+  return row.paper == nullptr ? kNotGiven : row.paper->*column.row.*column.of_paper;
+}
+
+void add_table(Page& page, const TableSpec& table, const Seeds& seeds, std::span<const Column> columns) {
+  std::vector<std::string> titles{"row"};
+  for (const Column& column : columns) {
+    titles.push_back(fmt::format("{}: paper", column.title));
+    titles.emplace_back("its filter here");
+    titles.emplace_back("ours");
+  }
+  std::vector<std::vector<Cell>> rows;
+  for (const TableRow& row : table.rows) {
+    std::vector<Cell>& cells = rows.emplace_back();
+    cells.push_back({.text = row.label, .words = true});
+    for (const Column& column : columns) {
+      const double paper = paper_value(row, column);
+      const Band ours = band(values_of(seeds, row, Who::kOurs, column.figure, column.statistic));
+      cells.push_back({number(paper, column.format)});
+      cells.push_back({text_of(band(values_of(seeds, row, Who::kPublished, column.figure, column.statistic)),
+                               column.format)});
+      cells.push_back({text_of(ours, column.format),
+                       std::isfinite(paper) && ours.count > 0 && ours.median < paper ? report::Tone::kGood
+                                                                                     : report::Tone::kPlain});
+    }
+  }
+  page.add_table(titles, rows);
+}
+
+const Json* row_of(const Json& result, const TableRow& row) {
+  const Json* at = &result;
+  if (!row.group.empty()) {
+    if (!result.contains(row.group)) return nullptr;
+    at = &result.at(row.group);
+  }
+  return at->contains(row.key) ? &at->at(row.key) : nullptr;
+}
+
+// Errors over time of the first seed; `column`: 1 position, 3 NEES.
+void add_errors(Page& page, const TableSpec& table, const Json& first, std::size_t column,
+                const std::string& label) {
+  Chart chart(
+      {.x_label = "time (s)", .y_label = label, .log_y = true, .over_time = true, .height_px = 280.0});
+  std::size_t series = 0;
+  const auto add = [&](const std::string& name, const Json& run, report::Stroke stroke) {
+    if (!run.is_object() || !run.contains("errors")) return;
+    std::vector<Vector2d> points;
+    for (const Json& point : run.at("errors")) {
+      const Json& value = point.at(column);
+      points.emplace_back(point.at(0).get<double>(),
+                          value.is_number() ? std::max(value.get<double>(), kLowestError_m) : report::kNone);
+    }
+    chart.add_line(name, series < 4 ? report::series_ink(series) : Ink::kOther, std::move(points), stroke);
+    ++series;
+  };
+  for (const TableRow& row : table.rows) {
+    if (row.key != "odometry" && row.key != "original" && row.key != "adapted") continue;
+    const Json* run = row_of(first, row);
+    if (run == nullptr || (!row.group.empty() && row.group != table.rows.front().group)) continue;
+    if (row.key == "adapted" && run->contains("ours")) add("schmidt", run->at("ours"), report::Stroke::kThin);
+    if (run->contains("published")) add("paper's " + row.key, run->at("published"), report::Stroke::kDashed);
+  }
+  page.add_chart(chart, fmt::format("Seed 1: {} of the paper's filters and of ours, simulated.", label));
+}
+
+void add_paths(Page& page, const TableSpec& table, const Json& first) {
+  Chart map({.x_label = "x (m)", .y_label = "y (m)", .same_scale = true, .height_px = 420.0});
+  const auto add = [&](const std::string& name, Ink ink, const Json* run, const char* who,
+                       report::Stroke stroke) {
+    if (run == nullptr || !run->contains(who) || !run->at(who).contains("path")) return;
+    std::vector<Eigen::Vector3d> points;
+    for (const Json& point : run->at(who).at("path"))
+      points.emplace_back(point.at(0).get<double>(), point.at(1).get<double>(), point.at(2).get<double>());
+    map.add_path(name, ink, points, stroke);
+  };
+  for (const TableRow& row : table.rows) {
+    if (!row.group.empty() && row.group != table.rows.front().group) continue;
+    if (row.key == "odometry")
+      add("odometry", Ink::kOther, row_of(first, row), "ours", report::Stroke::kDashed);
+    if (row.key == "adapted") {
+      add("paper's adapted", Ink::kSeries2, row_of(first, row), "published", report::Stroke::kThin);
+      add("schmidt", Ink::kEstimate, row_of(first, row), "ours", report::Stroke::kThin);
+    }
+  }
+  page.add_chart(map, "Seed 1: trajectories, simulated.");
+}
+
+void add_section(Page& page, const TableSpec& table, const std::map<std::string, Seeds>& parts) {
+  const auto part = parts.find("");
+  if (part == parts.end()) return;
+  const Seeds& seeds = part->second;
+  page.add_heading(table.title);
+  page.add_text(table.remark);
+  add_table(page, table, seeds, kPosition);
+  add_table(page, table, seeds, kHeading);
+  if (const auto firmware = parts.find(kFirmware); firmware != parts.end()) {
+    page.add_text("Seed 1 with nodes that run the firmware on the modelled radio:");
+    add_table(page, table, firmware->second, kPosition);
+    add_table(page, table, firmware->second, kHeading);
+  }
+  const auto first = seeds.find(1);
+  if (first == seeds.end()) return;
+  add_errors(page, table, first->second, 1, "position error (m)");
+  add_errors(page, table, first->second, 3, "NEES");
+  add_paths(page, table, first->second);
+}
+
+void add_table1(Page& page, const Seeds& seeds) {
+  page.add_heading("Table I: calibration on the indoor drive");
+  page.add_text(
+      "Each anchor's distance from its true place. The paper's true places are what this simulation takes "
+      "for "
+      "them, so that directions of sight are as there; walls and noise are assumed.");
+  std::vector<std::vector<Cell>> rows;
+  std::vector<std::string> names;
+  std::vector<report::Mark> marks;
+  std::vector<Vector2d> paper;
+  for (std::size_t i = 0; i < kTable1.size(); ++i) {
+    std::vector<double> errors_m;
+    std::vector<double> sigmas_m;
+    std::vector<double> nees;
+    for (const auto& [seed, result] : seeds) {
+      const Json& anchor = result.at("anchors").at(i);
+      if (!anchor.at("error_m").is_number()) continue;
+      errors_m.push_back(anchor.at("error_m").get<double>());
+      sigmas_m.push_back(anchor.at("sigma_m").get<double>());
+      nees.push_back(anchor.at("nees").get<double>());
+    }
+    const Band error_m = band(errors_m);
+    rows.push_back({{fmt::format("{}", kTable1.at(i).id)},
+                    {number(kTable1.at(i).error_m, "{:.3f}")},
+                    {text_of(error_m, "{:.3f}")},
+                    {number(std::sqrt(3.0 * kTable1.at(i).variance_m2), "{:.3f}")},
+                    {text_of(band(sigmas_m), "{:.3f}")},
+                    {text_of(band(nees), "{:.2f}")}});
+    names.push_back(fmt::format("{}", kTable1.at(i).id));
+    marks.push_back({{static_cast<double>(i), error_m.median}, ""});
+    paper.emplace_back(static_cast<double>(i), kTable1.at(i).error_m);
+  }
+  std::vector<double> means_m;
+  for (const auto& [seed, result] : seeds) means_m.push_back(result.at("mean_m").get<double>());
+  rows.push_back(
+      {{"mean"}, {number(kTable1Mean_m, "{:.2f}")}, {text_of(band(means_m), "{:.3f}")}, {"–"}, {"–"}, {"–"}});
+  page.add_table({"anchor", "error m: paper", "ours", "sigma m: paper", "ours", "NEES ours"}, rows);
+  page.add_text("The paper's text gives 0.18 m as the mean; the mean of its table's column is 0.230 m.");
+  Chart chart({.x_label = "anchor", .y_label = "error (m)", .height_px = 240.0});
+  chart.name_x(std::move(names));
+  chart.add_points("paper", Ink::kOther, std::move(paper));
+  chart.add_marks("ours, median", Ink::kAnchor, std::move(marks));
+  page.add_chart(chart, "Simulated; the paper's are recorded.");
+}
+
+void add_effort(Page& page, const Seeds& table2) {
+  page.add_heading("Computational effort");
+  page.add_text(
+      "Median times of one call on this computer, in the runs of Table II. The paper states under 3 us for a "
+      "propagation and under 15 us for an update, on a computer that it does not name.");
+  std::vector<std::vector<Cell>> rows;
+  for (const char* key : {"original", "adapted", "anchor-states", "joint"}) {
+    std::vector<double> update_us;
+    std::vector<double> propagate_us;
+    for (const auto& [seed, result] : table2) {
+      if (!result.contains(key)) continue;
+      update_us.push_back(1e-3 * result.at(key).at("ours").value("update_ns", 0.0));
+      propagate_us.push_back(1e-3 * result.at(key).at("ours").value("propagate_ns", 0.0));
+    }
+    rows.push_back({{.text = std::string(key) == "adapted" ? "schmidt" : key, .words = true},
+                    {text_of(band(propagate_us), "{:.2f}")},
+                    {text_of(band(update_us), "{:.2f}")}});
+  }
+  page.add_table({"model", "odometry sample us (paper: 3)", "range us (paper: 15)"}, rows);
+}
+
+void add_anchor_states(Page& page, const Seeds& seeds) {
+  const auto first = seeds.find(1);
+  if (first == seeds.end() || !first->second.is_array()) return;
+  page.add_heading("Anchor positions as states");
+  Chart chart(
+      {.x_label = "time (s)", .y_label = "position error (m)", .over_time = true, .height_px = 300.0});
+  std::map<int, std::vector<Vector2d>> anchors;
+  for (const Json& point : first->second)
+    anchors[point.at(1).get<int>()].emplace_back(point.at(0).get<double>(), point.at(2).get<double>());
+  std::size_t series = 0;
+  for (auto& [id, points] : anchors) {
+    chart.add_line(fmt::format("{}", id), report::series_ink(series % 4), std::move(points),
+                   series < 4 ? report::Stroke::kThin : report::Stroke::kDashed);
+    ++series;
+  }
+  page.add_chart(
+      chart,
+      "Seed 1: each anchor's error on the outdoor drive, as our filter estimates it. In the paper some "
+      "improve and most stay or degrade.");
+}
+
+// Results of one level over the seeds.
+struct LevelBands {
+  Band ate_m;
+  Band nees;
+  Band anchors_m;
+};
+
+LevelBands bands_of(const Seeds& seeds, std::size_t level) {
+  std::vector<double> ate_m;
+  std::vector<double> nees;
+  std::vector<double> anchors_m;
+  const auto add = [](std::vector<double>& to, const Json& value) {
+    if (value.is_number()) to.push_back(value.get<double>());
+  };
+  for (const auto& [seed, result] : seeds) {
+    const Json& at = result.at(level);
+    add(anchors_m, at.at("anchor_error_m"));
+    if (!at.at("score").is_object()) continue;
+    add(ate_m, at.at("score").at("ate_m").at("mean"));
+    if (at.at("score").at("nees").is_object()) add(nees, at.at("score").at("nees").at("mean"));
+  }
+  return {band(ate_m), band(nees), band(anchors_m)};
+}
+
+// Where it breaks, in words: by hand, twice the usual error and 5 cm more, or a NEES above 4.
+std::string break_of(const Factor& factor, const std::vector<LevelBands>& bands) {
+  const double usual_m = bands[factor.usual].ate_m.median;
+  std::string broken;
+  for (std::size_t i = 0; i < bands.size(); ++i) {
+    const bool is_far = bands[i].ate_m.median > 2.0 * usual_m + 0.05;
+    const bool is_sure = bands[i].nees.median > 4.0;
+    if (!is_far && !is_sure) continue;
+    broken += fmt::format("{}{}: {:.3f} m, NEES {:.1f}", broken.empty() ? "" : "; ", factor.levels[i].label,
+                          bands[i].ate_m.median, bands[i].nees.median);
+  }
+  if (broken.empty()) return "It breaks at none of these levels.";
+  return fmt::format("It breaks at {} (usually {:.3f} m).", broken, usual_m);
+}
+
+void add_sensitivity(Page& page, const std::map<std::string, Seeds>& parts) {
+  page.add_heading("What the paper leaves open: sensitivity");
+  page.add_text(
+      "Simulated: the warehouse's indoor drive calibrates, the second indoor drive is localized by schmidt. "
+      "A line "
+      "is the median over the seeds, dashed lines are 5 and 95 %.");
+  for (const Factor& factor : factors()) {
+    const auto part = parts.find(factor.name);
+    if (part == parts.end()) continue;
+    std::vector<std::string> names;
+    std::array<std::vector<Vector2d>, 3> lines;
+    std::vector<LevelBands> bands;
+    std::vector<std::vector<Cell>> rows;
+    for (std::size_t i = 0; i < factor.levels.size(); ++i) {
+      const LevelBands& at = bands.emplace_back(bands_of(part->second, i));
+      names.push_back(factor.levels[i].label);
+      const auto x = static_cast<double>(i);
+      lines[0].emplace_back(x, std::max(at.ate_m.median, kLowestError_m));
+      lines[1].emplace_back(x, std::max(at.ate_m.low, kLowestError_m));
+      lines[2].emplace_back(x, std::max(at.ate_m.high, kLowestError_m));
+      rows.push_back({{.text = factor.levels[i].label, .words = true},
+                      {text_of(at.ate_m, "{:.3f}")},
+                      {text_of(at.nees, "{:.2f}")},
+                      {text_of(at.anchors_m, "{:.3f}")}});
+    }
+    page.begin_part("sensitivity-" + factor.name, factor.meaning, break_of(factor, bands),
+                    report::Tone::kPlain, true);
+    Chart chart({.x_label = factor.meaning, .y_label = "mean ATE (m)", .log_y = true, .height_px = 220.0});
+    chart.name_x(std::move(names));
+    chart.add_line("median", Ink::kEstimate, std::move(lines[0]));
+    chart.add_line("5 and 95 %", Ink::kEstimate, std::move(lines[1]), report::Stroke::kDashed);
+    chart.add_line("", Ink::kEstimate, std::move(lines[2]), report::Stroke::kDashed);
+    page.add_chart(chart, fmt::format("{} seeds.", part->second.size()));
+    page.add_table({"level", "mean ATE m", "NEES", "anchors marked ok: error m"}, rows);
+    page.end_part();
+  }
+}
+
+void add_baselines(Page& page, const Seeds& seeds, bool has_program) {
+  page.add_heading("What a user would otherwise take");
+  page.add_text(
+      "Simulated: the second indoor drive, calibrated by the first with our calibration for all. Tuned: "
+      "parameters "
+      "found on other seeds, see `groma-baselines`.");
+  if (!has_program) {
+    page.add_notice("Not run:", "groma-baselines is not beside groma. It needs Debian's libceres-dev.",
+                    report::Tone::kWarning);
+  }
+  std::vector<std::string> methods;
+  for (const auto& [name, run] : seeds.begin()->second.items()) methods.push_back(name);
+  std::vector<std::vector<Cell>> rows;
+  for (const std::string& method : methods) {
+    std::array<std::vector<double>, 4> values;
+    for (const auto& [seed, result] : seeds) {
+      const Json& run = result.at(method);
+      values[3].push_back(run.at("us_per_range").get<double>());
+      if (!run.at("score").is_object()) continue;
+      values[0].push_back(run.at("score").at("ate_m").at("mean").get<double>());
+      values[1].push_back(run.at("score").at("ate_m").at("max").get<double>());
+      if (run.at("score").at("nees").is_object())
+        values[2].push_back(run.at("score").at("nees").at("mean").get<double>());
+    }
+    rows.push_back({{.text = method, .words = true},
+                    {text_of(band(values[0]), "{:.3f}")},
+                    {text_of(band(values[1]), "{:.3f}")},
+                    {text_of(band(values[2]), "{:.2f}")},
+                    {text_of(band(values[3]), "{:.2f}")}});
+  }
+  page.add_table({"method", "mean ATE m", "max ATE m", "NEES", "us a range"}, rows);
+}
+
+void add_recorded(Page& page, const std::map<std::string, Seeds>& parts) {
+  page.add_heading("Recorded runs");
+  page.add_text(
+      "Recorded by others; none replays the drive that calibrated it. All rows have our calibration: of the "
+      "first "
+      "half of a drive, or of mcd_ntu_day_09. Mean ATE in m, NEES.");
+  std::vector<std::vector<Cell>> rows;
+  for (const auto& [name, seeds] : parts) {
+    std::vector<Cell>& cells = rows.emplace_back();
+    cells.push_back({.text = name, .words = true});
+    const auto add = [&, &of = seeds](const char* key, Who who) {
+      const TableRow row{"", key, "", nullptr};
+      const auto ate_m = values_of(of, row, who, "ate_m", "mean");
+      const auto nees = values_of(of, row, who, "nees", "mean");
+      cells.push_back({ate_m.empty()
+                           ? "–"
+                           : fmt::format("{:.3f}, {}", ate_m.front(),
+                                         nees.empty() ? "–" : fmt::format("{:.1f}", nees.front()))});
+    };
+    add("odometry", Who::kPublished);
+    add("original", Who::kPublished);
+    add("adapted", Who::kPublished);
+    add("adapted", Who::kOurs);
+    add("joint", Who::kOurs);
+  }
+  page.add_table({"run", "paper's odometry", "paper's original", "paper's adapted", "schmidt", "joint"},
+                 rows);
+}
+
+}  // namespace
+
+Band band(std::vector<double> values) {
+  std::erase_if(values, [](double value) { return !std::isfinite(value); });
+  if (values.empty()) return {kNotGiven, kNotGiven, kNotGiven, 0};
+  const std::size_t count = values.size();
+  return {report::quantile(values, 0.05), report::quantile(values, 0.5), report::quantile(values, 0.95),
+          count};
+}
+
+Page page_of(const Outcome& outcome, const Plan& plan) {
+  Page page(
+      "The source paper's experiments, and ours beside them",
+      fmt::format("Seeds 1 to {}; figures are medians over the seeds, with 5 to 95 % in brackets. Simulated, "
+                  "but for the recorded runs.",
+                  plan.seeds));
+  if (!outcome.has_baselines) {
+    page.add_notice("Not run:",
+                    "the paper's own filters and other baselines, because groma-baselines is not beside "
+                    "groma. It is built where Debian's libceres-dev is.",
+                    report::Tone::kWarning);
+  }
+  const auto with = [&](std::string_view experiment, const std::function<void(const Seeds&)>& add) {
+    const auto found = outcome.results.find(experiment);
+    if (found != outcome.results.end() && !found->second.empty()) add(found->second.begin()->second);
+  };
+  with("table1", [&](const Seeds& seeds) { add_table1(page, seeds); });
+  for (const TableSpec& table : tables()) {
+    if (const auto found = outcome.results.find(table.experiment); found != outcome.results.end())
+      add_section(page, table, found->second);
+  }
+  with("anchor-states", [&](const Seeds& seeds) { add_anchor_states(page, seeds); });
+  with("table2", [&](const Seeds& seeds) { add_effort(page, seeds); });
+  with("baselines", [&](const Seeds& seeds) { add_baselines(page, seeds, outcome.has_baselines); });
+  if (const auto found = outcome.results.find("sensitivity"); found != outcome.results.end())
+    add_sensitivity(page, found->second);
+  if (const auto found = outcome.results.find("recorded"); found != outcome.results.end())
+    add_recorded(page, found->second);
+  return page;
+}
+
+Json summary_of(const Outcome& outcome) {
+  Json out = Json::object();
+  const auto to_json = [](const Band& band, double paper) {
+    const auto value = [](double number) { return std::isfinite(number) ? Json(number) : Json(nullptr); };
+    return Json{{"median", value(band.median)},
+                {"low", value(band.low)},
+                {"high", value(band.high)},
+                {"seeds", band.count},
+                {"paper", value(paper)}};
+  };
+  for (const TableSpec& table : tables()) {
+    const auto found = outcome.results.find(table.experiment);
+    if (found == outcome.results.end()) continue;
+    for (const TableRow& row : table.rows) {
+      Json& at = out[table.experiment][row.group.empty() ? row.key : row.group + ": " + row.key];
+      for (const auto* columns : {&kPosition, &kHeading}) {
+        for (const Column& column : *columns) {
+          const std::string metric = fmt::format("{}_{}", column.figure, column.statistic);
+          const Seeds& seeds = found->second.begin()->second;
+          at["ours"][metric] =
+              to_json(band(values_of(seeds, row, Who::kOurs, column.figure, column.statistic)),
+                      paper_value(row, column));
+          at["published"][metric] =
+              to_json(band(values_of(seeds, row, Who::kPublished, column.figure, column.statistic)),
+                      paper_value(row, column));
+        }
+      }
+    }
+  }
+  if (const auto found = outcome.results.find("table1"); found != outcome.results.end()) {
+    std::vector<double> means_m;
+    for (const auto& [seed, result] : found->second.begin()->second)
+      means_m.push_back(result.at("mean_m").get<double>());
+    out["table1"]["mean"]["ours"]["error_m"] = to_json(band(means_m), kTable1Mean_m);
+  }
+  return out;
+}
+
+}  // namespace groma::reproduce
