@@ -47,7 +47,7 @@ std::string number(double value, const char* format) {
 
 std::string text_of(const Band& band, const char* format) {
   if (band.count == 0) return "–";
-  const std::string median = number(band.median, format);
+  std::string median = number(band.median, format);
   if (band.count == 1) return median;
   return fmt::format("{} ({}–{})", median, number(band.low, format), number(band.high, format));
 }

@@ -30,6 +30,7 @@ sim::UnevenArea hall(double height_m, const Eigen::Vector2d& slope = Eigen::Vect
 // The calibration drive's waypoints; the robot faces its way.
 std::vector<sim::Waypoint> course(const std::vector<Eigen::Vector2d>& points) {
   std::vector<sim::Waypoint> out;
+  out.reserve(points.size());
   for (std::size_t i = 0; i < points.size(); ++i) {
     const Eigen::Vector2d way = i + 1 < points.size() ? Eigen::Vector2d(points[i + 1] - points[i])
                                                       : Eigen::Vector2d(points[i] - points[i - 1]);
@@ -67,6 +68,7 @@ std::vector<Level> excitation() {
 std::vector<Level> levels(const std::vector<double>& values, const char* format,
                           const std::function<void(Conditions&, double)>& change) {
   std::vector<Level> out;
+  out.reserve(values.size());
   for (const double value : values)
     out.push_back({fmt::format(fmt::runtime(format), value), value,
                    [change, value](Conditions& conditions) { change(conditions, value); }});

@@ -86,7 +86,8 @@ TEST(Sensitivity, PosesThatAreWrongByDecimetresWorsenTheAnchors) {
   const Json result = run_factor(drift, 1);
   ASSERT_EQ(result.size(), 2U);
   EXPECT_LT(result[0]["score"]["ate_m"]["mean"].get<double>(), 0.03);
-  EXPECT_GT(result[1]["anchor_error_m"].get<double>(), result[0]["anchor_error_m"].get<double>());
+  EXPECT_GE(result[0]["anchors_ok"].get<double>(), 6.0);
+  EXPECT_LT(result[1]["anchors_ok"].get<double>(), 3.0) << "no anchor is better than its poses";
 }
 
 TEST(Band, IsMedianAndQuantiles) {
@@ -132,9 +133,18 @@ TEST_F(RunnerTest, KeepsResultsAndGoesOnFromThem) {
   stored["groma"] = "0.0.0-other";
   std::ofstream(file) << stored.dump();
   EXPECT_FALSE(run(plan(1)).results.at("table3").at("").at(1).value("marked", false));
-  // Not JSON: again.
+  // Not JSON: again. Times differ, scores do not.
   std::ofstream(file) << "{";
-  EXPECT_EQ(run(plan(1)).results.at("table3").at("").at(1), first.results.at("table3").at("").at(1));
+  const auto score = [](const Outcome& outcome) {
+    return outcome.results.at("table3")
+        .at("")
+        .at(1)
+        .at("pre-calibrated")
+        .at("adapted")
+        .at("ours")
+        .at("score");
+  };
+  EXPECT_EQ(score(run(plan(1))), score(first));
 }
 
 TEST_F(RunnerTest, SummaryAndPageHaveThePapersFiguresBesideOurs) {
