@@ -34,10 +34,9 @@ struct Column {
   PaperStatistic PaperRow::*row;
   const char* format;
 };
-constexpr std::array kPosition{
+constexpr std::array kColumns{
     Column{"ATE mean m", "ate_m", "mean", &PaperStatistic::mean, &PaperRow::ate_m, "{:.3f}"},
-    Column{"ATE max m", "ate_m", "max", &PaperStatistic::max, &PaperRow::ate_m, "{:.3f}"}};
-constexpr std::array kHeading{
+    Column{"ATE max m", "ate_m", "max", &PaperStatistic::max, &PaperRow::ate_m, "{:.3f}"},
     Column{"heading mean rad", "ate_rad", "mean", &PaperStatistic::mean, &PaperRow::ate_rad, "{:.3f}"},
     Column{"NEES mean", "nees", "mean", &PaperStatistic::mean, &PaperRow::nees, "{:.1f}"}};
 
@@ -56,29 +55,23 @@ double paper_value(const TableRow& row, const Column& column) {
   return row.paper == nullptr ? kNotGiven : row.paper->*column.row.*column.of_paper;
 }
 
-void add_table(Page& page, const TableSpec& table, const Seeds& seeds, std::span<const Column> columns) {
-  std::vector<std::string> titles{"row"};
-  for (const Column& column : columns) {
-    titles.push_back(fmt::format("{}: paper", column.title));
-    titles.emplace_back("its filter here");
-    titles.emplace_back("ours");
-  }
-  std::vector<std::vector<Cell>> rows;
-  for (const TableRow& row : table.rows) {
-    std::vector<Cell>& cells = rows.emplace_back();
-    cells.push_back({.text = row.label, .words = true});
-    for (const Column& column : columns) {
+void add_tables(Page& page, const TableSpec& table, const Seeds& seeds) {
+  for (const Column& column : kColumns) {
+    std::vector<std::vector<Cell>> rows;
+    for (const TableRow& row : table.rows) {
       const double paper = paper_value(row, column);
-      const Band ours = band(values_of(seeds, row, Who::kOurs, column.figure, column.statistic));
-      cells.push_back({number(paper, column.format)});
-      cells.push_back({text_of(band(values_of(seeds, row, Who::kPublished, column.figure, column.statistic)),
-                               column.format)});
-      cells.push_back({text_of(ours, column.format),
-                       std::isfinite(paper) && ours.count > 0 && ours.median < paper ? report::Tone::kGood
-                                                                                     : report::Tone::kPlain});
+      const auto of = [&](Who who) {
+        return band(values_of(seeds, row, who, column.figure, column.statistic));
+      };
+      const Band ours = of(Who::kOurs);
+      const bool is_ahead = std::isfinite(paper) && ours.count > 0 && ours.median < paper;
+      rows.push_back({{.text = row.label, .words = true},
+                      {number(paper, column.format)},
+                      {text_of(of(Who::kPublished), column.format)},
+                      {text_of(ours, column.format), is_ahead ? report::Tone::kGood : report::Tone::kPlain}});
     }
+    page.add_table({column.title, "paper", "its filter here", "ours"}, rows);
   }
-  page.add_table(titles, rows);
 }
 
 const Json* row_of(const Json& result, const TableRow& row) {
@@ -145,12 +138,10 @@ void add_section(Page& page, const TableSpec& table, const std::map<std::string,
   const Seeds& seeds = part->second;
   page.add_heading(table.title);
   page.add_text(table.remark);
-  add_table(page, table, seeds, kPosition);
-  add_table(page, table, seeds, kHeading);
+  add_tables(page, table, seeds);
   if (const auto firmware = parts.find(kFirmware); firmware != parts.end()) {
     page.add_text("Seed 1 with nodes that run the firmware on the modelled radio:");
-    add_table(page, table, firmware->second, kPosition);
-    add_table(page, table, firmware->second, kHeading);
+    add_tables(page, table, firmware->second);
   }
   const auto first = seeds.find(1);
   if (first == seeds.end()) return;
@@ -168,7 +159,7 @@ void add_table1(Page& page, const Seeds& seeds) {
   std::vector<std::vector<Cell>> rows;
   std::vector<std::string> names;
   std::vector<report::Mark> marks;
-  std::vector<Vector2d> paper;
+  std::vector<report::Mark> paper;
   for (std::size_t i = 0; i < kTable1.size(); ++i) {
     std::vector<double> errors_m;
     std::vector<double> sigmas_m;
@@ -189,7 +180,7 @@ void add_table1(Page& page, const Seeds& seeds) {
                     {text_of(band(nees), "{:.2f}")}});
     names.push_back(fmt::format("{}", kTable1.at(i).id));
     marks.push_back({{static_cast<double>(i), error_m.median}, ""});
-    paper.emplace_back(static_cast<double>(i), kTable1.at(i).error_m);
+    paper.push_back({{static_cast<double>(i), kTable1.at(i).error_m}, ""});
   }
   std::vector<double> means_m;
   for (const auto& [seed, result] : seeds) means_m.push_back(result.at("mean_m").get<double>());
@@ -199,7 +190,7 @@ void add_table1(Page& page, const Seeds& seeds) {
   page.add_text("The paper's text gives 0.18 m as the mean; the mean of its table's column is 0.230 m.");
   Chart chart({.x_label = "anchor", .y_label = "error (m)", .height_px = 240.0});
   chart.name_x(std::move(names));
-  chart.add_points("paper", Ink::kOther, std::move(paper));
+  chart.add_marks("paper", Ink::kTruth, std::move(paper));
   chart.add_marks("ours, median", Ink::kAnchor, std::move(marks));
   page.add_chart(chart, "Simulated; the paper's are recorded.");
 }
@@ -441,17 +432,15 @@ Json summary_of(const Outcome& outcome) {
     if (found == outcome.results.end()) continue;
     for (const TableRow& row : table.rows) {
       Json& at = out[table.experiment][row.group.empty() ? row.key : row.group + ": " + row.key];
-      for (const auto* columns : {&kPosition, &kHeading}) {
-        for (const Column& column : *columns) {
-          const std::string metric = fmt::format("{}_{}", column.figure, column.statistic);
-          const Seeds& seeds = found->second.begin()->second;
-          at["ours"][metric] =
-              to_json(band(values_of(seeds, row, Who::kOurs, column.figure, column.statistic)),
-                      paper_value(row, column));
-          at["published"][metric] =
-              to_json(band(values_of(seeds, row, Who::kPublished, column.figure, column.statistic)),
-                      paper_value(row, column));
-        }
+      for (const Column& column : kColumns) {
+        const std::string metric = fmt::format("{}_{}", column.figure, column.statistic);
+        const Seeds& seeds = found->second.begin()->second;
+        const auto of = [&](Who who) {
+          return to_json(band(values_of(seeds, row, who, column.figure, column.statistic)),
+                         paper_value(row, column));
+        };
+        at["ours"][metric] = of(Who::kOurs);
+        at["published"][metric] = of(Who::kPublished);
       }
     }
   }
