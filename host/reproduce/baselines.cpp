@@ -12,8 +12,8 @@ namespace groma::reproduce {
 
 namespace {
 
-constexpr std::array kMethods{"paper-original",  "paper-adapted", "trilateration", "iterated-ekf",
-                              "particle-filter", "ceres-window",  "ceres-batch"};
+constexpr std::array kMethods{"paper-original", "paper-adapted",   "trilateration",
+                              "iterated-ekf",   "particle-filter", "ceres-window"};
 constexpr double kPerMicrosecond = 1e-3;
 
 // As groma-baselines counts: with the share of the odometry samples.

@@ -381,9 +381,15 @@ void add_recorded(Page& page, const std::map<std::string, Seeds>& parts) {
 Band band(std::vector<double> values) {
   std::erase_if(values, [](double value) { return !std::isfinite(value); });
   if (values.empty()) return {kNotGiven, kNotGiven, kNotGiven, 0};
-  const std::size_t count = values.size();
-  return {report::quantile(values, 0.05), report::quantile(values, 0.5), report::quantile(values, 0.95),
-          count};
+  std::sort(values.begin(), values.end());
+  // Between the values, so that a few seeds have a band too.
+  const auto quantile = [&](double share) {
+    const double place = share * static_cast<double>(values.size() - 1);
+    const auto below = static_cast<std::size_t>(place);
+    const std::size_t above = std::min(below + 1, values.size() - 1);
+    return values[below] + (place - static_cast<double>(below)) * (values[above] - values[below]);
+  };
+  return {quantile(0.05), quantile(0.5), quantile(0.95), values.size()};
 }
 
 Page page_of(const Outcome& outcome, const Plan& plan) {

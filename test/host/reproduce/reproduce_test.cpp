@@ -100,6 +100,8 @@ TEST(Band, IsMedianAndQuantiles) {
   EXPECT_EQ(of.median, 50.0);
   EXPECT_NEAR(of.high, 95.0, 1.0);
   EXPECT_EQ(band({}).count, 0U);
+  EXPECT_DOUBLE_EQ(band({1.0, 3.0, 2.0}).high, 2.9);
+  EXPECT_DOUBLE_EQ(band({1.0, 2.0}).median, 1.5);
 }
 
 class RunnerTest : public ::testing::Test {
