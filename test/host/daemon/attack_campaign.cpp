@@ -23,6 +23,8 @@ using test::Attack;
 using test::Measured;
 
 constexpr bool kQuick = GROMA_QUICK != 0;
+constexpr double kJudged_s = GROMA_JUDGED_S;
+constexpr double kAttack_s = GROMA_ATTACK_S;
 // By which an attack may delay one of 1,000 poses.
 constexpr double kMostDelay_ms = 2.0;
 // Of a row: samples whose poses had not come when it began or ended.
@@ -52,7 +54,7 @@ class AttackCampaign : public ::testing::Test {
         arena_.is_real_time() ? "real-time" : "normal");
     ASSERT_TRUE(arena_.recover()) << arena_.gromad().log();
     undisturbed_ = arena_.measure([this] {
-      arena_.pump(GROMA_JUDGED_S);
+      arena_.pump(kJudged_s);
       arena_.note_resources();
     });
     print_row("undisturbed", undisturbed_, 0.0);
@@ -64,8 +66,8 @@ class AttackCampaign : public ::testing::Test {
     for (const Attack& attack : attacks) {
       if (kQuick && !attack.quick) continue;
       SCOPED_TRACE(attack.name);
-      const Measured row = arena_.measure(
-          [&] { attack.act(arena_, attack.judged ? GROMA_JUDGED_S : GROMA_ATTACK_S); }, attack.harmless);
+      const Measured row =
+          arena_.measure([&] { attack.act(arena_, attack.judged ? kJudged_s : kAttack_s); }, attack.harmless);
       const std::optional<double> recovery_s = arena_.recover();
       print_row(attack.name, row, recovery_s);
       EXPECT_EQ(row.problem, "");
@@ -104,7 +106,7 @@ TEST_F(AttackCampaign, NoAttackBreaksGromad) {
   run(test::attacks_on_the_tags_link(), /*keeps_frames=*/false);
   run(test::attacks_on_the_process(), /*keeps_frames=*/false);
   const Measured after = arena_.measure([this] {
-    arena_.pump(GROMA_JUDGED_S);
+    arena_.pump(kJudged_s);
     arena_.note_resources();
   });
   print_row("undisturbed, at the end", after, 0.0);
