@@ -2,7 +2,6 @@
 #include <fmt/format.h>
 
 #include <csignal>
-#include <exception>
 #include <optional>
 #include <span>
 
@@ -12,8 +11,6 @@
 #include "host/cli/report_output.hpp"
 #include "host/cli/terminal.hpp"
 #include "host/help/help.hpp"
-#include "host/io/error.hpp"
-#include "host/io/exit_code.hpp"
 #include "host/io/version.hpp"
 
 namespace groma::cli {
@@ -66,32 +63,6 @@ int run(int argc, char** argv) {
   return action();
 }
 
-int guarded_run(int argc, char** argv) {
-  try {
-    const int code = run(argc, argv);
-    flush_output();
-    return code;
-  } catch (const CLI::Error& error) {
-    complain(error.what());
-    return io::kUsage;
-  } catch (const io::DataError& error) {
-    complain(error.what());
-    return io::kBadData;
-  } catch (const io::ConfigError& error) {
-    complain(error.what());
-    return io::kBadConfiguration;
-  } catch (const io::PermissionError& error) {
-    complain(error.what());
-    return io::kNoPermission;
-  } catch (const io::PathError& error) {
-    complain(error.what());
-    return io::kUsage;
-  } catch (const std::exception& error) {
-    complain(error.what());
-    return io::kUnavailable;
-  }
-}
-
 }  // namespace
 
 }  // namespace groma::cli
@@ -101,5 +72,11 @@ int main(int argc, char** argv) {
   std::signal(SIGXFSZ, SIG_IGN);
   std::signal(SIGPIPE, SIG_IGN);
   groma::cli::note_command_line({argv, static_cast<std::size_t>(argc)});
-  return groma::cli::guarded_run(argc, argv);
+  return groma::help::guarded(
+      [&] {
+        const int code = groma::cli::run(argc, argv);
+        groma::cli::flush_output();
+        return code;
+      },
+      groma::cli::complain);
 }

@@ -93,14 +93,13 @@ int run(const ReproduceOptions& options) {
 
 void add_reproduce(CLI::App& app, Action& action) {
   const auto options = std::make_shared<ReproduceOptions>();
-  CLI::App* command = app.add_subcommand(
-      "reproduce",
-      "Run the source paper's experiments on simulated sites, and ours beside them: calibration (table1), "
-      "the "
-      "indoor and the outdoor trial (indoor, table2), anchor positions as states, computational effort, the "
-      "forklift (table3), and what the paper leaves open: sensitivity, baselines, recorded runs. A run that "
-      "was "
-      "interrupted goes on where it ended.");
+  CLI::App* command =
+      app.add_subcommand("reproduce",
+                         "Run the source paper's experiments on simulated sites, and ours beside them: "
+                         "calibration (table1), the indoor and the outdoor trial (indoor, table2), anchor "
+                         "positions as states, computational effort, the "
+                         "forklift (table3), and what the paper leaves open: sensitivity, baselines, "
+                         "recorded runs. A run that was interrupted goes on where it ended.");
   command
       ->add_option("EXPERIMENTS", options->experiments,
                    fmt::format("Of {}. Default: all", fmt::join(reproduce::experiments(), ", ")))

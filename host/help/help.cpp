@@ -173,4 +173,28 @@ std::optional<int> parse(CLI::App& app, int argc, const char* const* argv) {
   }
 }
 
+int guarded(const std::function<int()>& run, const std::function<void(std::string_view)>& complain) {
+  try {
+    return run();
+  } catch (const CLI::Error& error) {
+    complain(error.what());
+    return io::kUsage;
+  } catch (const io::DataError& error) {
+    complain(error.what());
+    return io::kBadData;
+  } catch (const io::ConfigError& error) {
+    complain(error.what());
+    return io::kBadConfiguration;
+  } catch (const io::PermissionError& error) {
+    complain(error.what());
+    return io::kNoPermission;
+  } catch (const io::PathError& error) {
+    complain(error.what());
+    return io::kUsage;
+  } catch (const std::exception& error) {
+    complain(error.what());
+    return io::kUnavailable;
+  }
+}
+
 }  // namespace groma::help

@@ -51,4 +51,8 @@ void add_guides(CLI::App& app, std::span<const Guide> guides);
 // error as "PROGRAM: problem; what to do", with the command or option that was probably meant.
 [[nodiscard]] std::optional<int> parse(CLI::App& app, int argc, const char* const* argv);
 
+// Runs the program. An error goes to `complain`, and becomes the exit code of its kind.
+[[nodiscard]] int guarded(const std::function<int()>& run,
+                          const std::function<void(std::string_view)>& complain);
+
 }  // namespace groma::help

@@ -154,8 +154,7 @@ void add_table1(Page& page, const Seeds& seeds) {
   page.add_heading("Table I: calibration on the indoor drive");
   page.add_text(
       "Each anchor's distance from its true place. The paper's true places are what this simulation takes "
-      "for "
-      "them, so that directions of sight are as there; walls and noise are assumed.");
+      "for them, so that directions of sight are as there; walls and noise are assumed.");
   std::vector<std::vector<Cell>> rows;
   std::vector<std::string> names;
   std::vector<report::Mark> marks;
@@ -197,9 +196,10 @@ void add_table1(Page& page, const Seeds& seeds) {
 
 void add_effort(Page& page, const Seeds& table2) {
   page.add_heading("Computational effort");
-  page.add_text(
-      "Median times of one call on this computer, in the runs of Table II. The paper states under 3 us for a "
-      "propagation and under 15 us for an update, on a computer that it does not name.");
+  page.add_text(fmt::format(
+      "Median times of one call on this computer, in the runs of Table II. The paper states under {} us "
+      "for a propagation and under {} us for an update, on a computer that it does not name.",
+      kPropagate_us, kUpdate_us));
   std::vector<std::vector<Cell>> rows;
   for (const char* key : {"original", "adapted", "anchor-states", "joint"}) {
     std::vector<double> update_us;
@@ -213,7 +213,7 @@ void add_effort(Page& page, const Seeds& table2) {
                     {text_of(band(propagate_us), "{:.2f}")},
                     {text_of(band(update_us), "{:.2f}")}});
   }
-  page.add_table({"model", "odometry sample us (paper: 3)", "range us (paper: 15)"}, rows);
+  page.add_table({"model", "odometry sample us", "range us"}, rows);
 }
 
 void add_anchor_states(Page& page, const Seeds& seeds) {
@@ -280,8 +280,7 @@ void add_sensitivity(Page& page, const std::map<std::string, Seeds>& parts) {
   page.add_heading("What the paper leaves open: sensitivity");
   page.add_text(
       "Simulated: the warehouse's indoor drive calibrates, the second indoor drive is localized by schmidt. "
-      "A line "
-      "is the median over the seeds, dashed lines are 5 and 95 %.");
+      "A line is the median over the seeds, dashed lines are 5 and 95 %.");
   for (const Factor& factor : factors()) {
     const auto part = parts.find(factor.name);
     if (part == parts.end()) continue;
@@ -318,8 +317,7 @@ void add_baselines(Page& page, const Seeds& seeds, bool has_program) {
   page.add_heading("What a user would otherwise take");
   page.add_text(
       "Simulated: the second indoor drive, calibrated by the first with our calibration for all. Tuned: "
-      "parameters "
-      "found on other seeds, see `groma-baselines`.");
+      "parameters found on other seeds, see `groma-baselines`.");
   if (!has_program) {
     page.add_notice("Not run:", "groma-baselines is not beside groma. It needs Debian's libceres-dev.",
                     report::Tone::kWarning);
@@ -351,8 +349,7 @@ void add_recorded(Page& page, const std::map<std::string, Seeds>& parts) {
   page.add_heading("Recorded runs");
   page.add_text(
       "Recorded by others; none replays the drive that calibrated it. All rows have our calibration: of the "
-      "first "
-      "half of a drive, or of mcd_ntu_day_09. Mean ATE in m, NEES.");
+      "first half of a drive, or of mcd_ntu_day_09. Mean ATE in m, NEES.");
   std::vector<std::vector<Cell>> rows;
   for (const auto& [name, seeds] : parts) {
     std::vector<Cell>& cells = rows.emplace_back();

@@ -6,7 +6,6 @@
 #include <atomic>
 #include <exception>
 #include <mutex>
-#include <set>
 #include <thread>
 #include <utility>
 
@@ -38,13 +37,13 @@ std::filesystem::path file_of(const Plan& plan, const std::string& experiment, c
   return plan.folder / "runs" / fmt::format("{}-{}.json", name, seed);
 }
 
-// A stored result of this build; null: none.
-Json stored(const std::filesystem::path& file, bool has_baselines) {
-  if (!std::filesystem::exists(file)) return nullptr;
+// A result of this build, which may be null.
+std::optional<Json> stored(const std::filesystem::path& file, bool has_baselines) {
+  if (!std::filesystem::exists(file)) return std::nullopt;
   const Json json = Json::parse(io::read_file(file), nullptr, false);
   if (!json.is_object() || json.value("groma", "") != io::build_name() ||
       json.value("baselines", false) != has_baselines)
-    return nullptr;
+    return std::nullopt;
   return json.value("result", Json(nullptr));
 }
 
@@ -144,31 +143,40 @@ class Workers {
     }
   }
 
-  void do_task(const Task& task) {
-    Json found;
+  [[nodiscard]] std::optional<Json> stored_results(const Task& task) const {
+    Json out = Json::object();
     for (const std::string& experiment : task.experiments) {
-      found[experiment] = stored(file_of(plan_, experiment, task.part, task.seed), baselines_.is_there());
-      if (found[experiment].is_null()) found = nullptr;
-      if (found.is_null()) break;
+      std::optional<Json> result =
+          stored(file_of(plan_, experiment, task.part, task.seed), baselines_.is_there());
+      if (!result) return std::nullopt;
+      out[experiment] = std::move(*result);
     }
-    if (found.is_null()) {
-      const std::filesystem::path scratch =
-          plan_.folder / "scratch" / file_of(plan_, task.experiments[0], task.part, task.seed).stem();
-      io::make_folder(scratch);
-      found = task.run({.seed = task.seed,
-                        .scratch = scratch,
-                        .baselines = baselines_,
-                        .has_curves = task.seed == 1,
-                        .is_emulated = task.part == kFirmware});
-      std::filesystem::remove_all(scratch);
-      for (const std::string& experiment : task.experiments) {
-        io::write_file(file_of(plan_, experiment, task.part, task.seed),
-                       Json{{"groma", io::build_name()},
-                            {"baselines", baselines_.is_there()},
-                            {"result", found.value(experiment, Json(nullptr))}}
-                           .dump());
-      }
+    return out;
+  }
+
+  [[nodiscard]] Json compute(const Task& task) const {
+    const std::filesystem::path scratch =
+        plan_.folder / "scratch" / file_of(plan_, task.experiments[0], task.part, task.seed).stem();
+    io::make_folder(scratch);
+    Json out = task.run({.seed = task.seed,
+                         .scratch = scratch,
+                         .baselines = baselines_,
+                         .has_curves = task.seed == 1,
+                         .is_emulated = task.part == kFirmware});
+    std::filesystem::remove_all(scratch);
+    for (const std::string& experiment : task.experiments) {
+      io::write_file(file_of(plan_, experiment, task.part, task.seed),
+                     Json{{"groma", io::build_name()},
+                          {"baselines", baselines_.is_there()},
+                          {"result", out.value(experiment, Json(nullptr))}}
+                         .dump());
     }
+    return out;
+  }
+
+  void do_task(const Task& task) {
+    const std::optional<Json> known = stored_results(task);
+    const Json found = known ? *known : compute(task);
     const std::scoped_lock lock(mutex_);
     for (const std::string& experiment : task.experiments)
       results_[experiment][task.part][task.seed] = found.value(experiment, Json(nullptr));

@@ -53,6 +53,19 @@ class EachStep {
 
 }  // namespace
 
+std::optional<filter::ReplayOptions> replay_options(const io::Dataset& drive, filter::Model model) {
+  const auto start =
+      filter::start_from_prior(drive.pose_prior, -std::numeric_limits<double>::infinity(), drive.surface);
+  if (!start) return std::nullopt;
+  filter::ReplayOptions options;
+  options.start = *start;
+  options.config.model = model;
+  options.config.odometry = drive.odometry_noise;
+  options.config.range_sigma_m = drive.range_priors.sigma_m;
+  filter::set_unknown_delays(options.config);
+  return options;
+}
+
 Localized localize(const io::Dataset& drive, const model::Calibration& calibration, filter::Model model,
                    const Subset& subset) {
   std::vector<model::RangeSample> ranges;
@@ -60,18 +73,11 @@ Localized localize(const io::Dataset& drive, const model::Calibration& calibrati
                [&](const model::RangeSample& range) {
                  return contains(subset.tags, range.tag_id) && contains(subset.anchors, range.anchor_id);
                });
-  filter::ReplayOptions options;
-  options.config.model = model;
-  options.config.odometry = drive.odometry_noise;
-  options.config.range_sigma_m = drive.range_priors.sigma_m;
-  filter::set_unknown_delays(options.config);
-  options.now_ns = now_ns;
-  const auto start =
-      filter::start_from_prior(drive.pose_prior, -std::numeric_limits<double>::infinity(), drive.surface);
-  if (!start) return {};
-  options.start = *start;
+  std::optional<filter::ReplayOptions> options = replay_options(drive, model);
+  if (!options) return {};
+  options->now_ns = now_ns;
   filter::ReplayResult result =
-      filter::replay({drive.odometry, ranges, drive.tags, &drive.surface, &calibration, nullptr}, options);
+      filter::replay({drive.odometry, ranges, drive.tags, &drive.surface, &calibration, nullptr}, *options);
   return {.rows = std::move(result.rows),
           .ranges = result.counters.ranges[filter::RangeOutcome::kUsed],
           .update_ns = result.update_ns.p50,

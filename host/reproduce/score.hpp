@@ -12,6 +12,7 @@
 
 #include "host/evaluation/evaluation.hpp"
 #include "host/filter/config.hpp"
+#include "host/filter/replay.hpp"
 #include "host/io/dataset.hpp"
 #include "host/model/calibration.hpp"
 
@@ -31,6 +32,10 @@ struct Localized {
   double update_ns = 0.0;     // median time of a range; 0: not measured
   double propagate_ns = 0.0;  // of an odometry sample
 };
+
+// As `groma replay` has them; none without a pose prior to start from.
+[[nodiscard]] std::optional<filter::ReplayOptions> replay_options(const io::Dataset& drive,
+                                                                  filter::Model model);
 
 // The filter on the drive as `groma replay` runs it. No rows: the drive has no pose prior to start from.
 [[nodiscard]] Localized localize(const io::Dataset& drive, const model::Calibration& calibration,

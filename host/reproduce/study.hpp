@@ -24,7 +24,7 @@ struct Settings {
 // Which of a study's results are wanted, by their names.
 using Wanted = std::set<std::string, std::less<>>;
 
-// "table1", "indoor", "table2", "anchor-states", "effort": the warehouse of Tables I and II.
+// "table1", "indoor", "table2", "anchor-states" (with curves alone): the warehouse of Tables I and II.
 [[nodiscard]] Json run_warehouse(const Settings& settings, const Wanted& wanted);
 // "table3": the forklift.
 [[nodiscard]] Json run_forklift(const Settings& settings);

@@ -1,22 +1,16 @@
-#include <fmt/format.h>
-
 #include <algorithm>
 #include <cmath>
-#include <numbers>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
 
 #include <Eigen/Cholesky>
 
-#include "firmware/sim/keyed_random.hpp"
 #include "firmware/sim/world/built_in_scenarios.hpp"
 #include "firmware/sim/world/world.hpp"
 #include "host/calibration/calibrate.hpp"
-#include "host/filter/replay.hpp"
-#include "host/model/median.hpp"
 #include "host/reproduce/drawn_calibration.hpp"
-#include "host/reproduce/paper.hpp"
 #include "host/reproduce/rows.hpp"
 #include "host/reproduce/study.hpp"
 #include "host/simulation/drive_dataset.hpp"
@@ -108,13 +102,9 @@ Json table1(const Warehouse& site) {
 Json anchor_curves(const Warehouse& site, filter::Model model) {
   Json out = Json::array();
   double next_s = -1.0;
-  filter::ReplayOptions options;
-  options.config.model = model;
-  options.config.odometry = site.outdoor.odometry_noise;
-  options.config.range_sigma_m = site.outdoor.range_priors.sigma_m;
-  filter::set_unknown_delays(options.config);
-  options.start = *filter::start_from_prior(site.outdoor.pose_prior, -1e9, site.outdoor.surface);
-  options.on_odometry = [&](const filter::Tracker& tracker, const model::OdometrySample& sample) {
+  std::optional<filter::ReplayOptions> options = replay_options(site.outdoor, model);
+  if (!options) return out;
+  options->on_odometry = [&](const filter::Tracker& tracker, const model::OdometrySample& sample) {
     if (sample.t_s < next_s) return;
     next_s = sample.t_s + kCurveStep_s;
     const filter::Filter& filter = tracker.filter().filter();
@@ -128,7 +118,7 @@ Json anchor_curves(const Warehouse& site, filter::Model model) {
   };
   static_cast<void>(filter::replay({site.outdoor.odometry, site.outdoor.ranges, site.outdoor.tags,
                                     &site.outdoor.surface, &site.ours.calibration, nullptr},
-                                   options));
+                                   *options));
   return out;
 }
 
@@ -137,7 +127,7 @@ Json anchor_curves(const Warehouse& site, filter::Model model) {
 Json run_warehouse(const Settings& settings, const Wanted& wanted) {
   const Warehouse site = simulate(settings);
   const model::Calibration& ours = site.ours.calibration;
-  Json out;
+  Json out = Json::object();
   if (wanted.contains("table1")) out["table1"] = table1(site);
   if (wanted.contains("indoor")) {
     out["indoor"] = {

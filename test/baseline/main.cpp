@@ -495,35 +495,12 @@ int run_program(int argc, char** argv) {
   return action();
 }
 
-int guarded_run(int argc, char** argv) {
-  try {
-    return run_program(argc, argv);
-  } catch (const CLI::Error& error) {
-    complain(error.what());
-    return io::kUsage;
-  } catch (const io::DataError& error) {
-    complain(error.what());
-    return io::kBadData;
-  } catch (const io::ConfigError& error) {
-    complain(error.what());
-    return io::kBadConfiguration;
-  } catch (const io::PermissionError& error) {
-    complain(error.what());
-    return io::kNoPermission;
-  } catch (const io::PathError& error) {
-    complain(error.what());
-    return io::kUsage;
-  } catch (const std::exception& error) {
-    complain(error.what());
-    return io::kUnavailable;
-  }
-}
-
 }  // namespace
 
 }  // namespace groma::baseline
 
 int main(int argc, char** argv) {
   std::signal(SIGPIPE, SIG_IGN);  // a closed pipe makes the write fail
-  return groma::baseline::guarded_run(argc, argv);
+  return groma::help::guarded([&] { return groma::baseline::run_program(argc, argv); },
+                              [](std::string_view text) { groma::baseline::complain(std::string(text)); });
 }

@@ -149,6 +149,21 @@ TEST_F(RunnerTest, KeepsResultsAndGoesOnFromThem) {
   EXPECT_EQ(score(run(plan(1))), score(first));
 }
 
+// The anchors' curves are of seed 1 alone.
+TEST_F(RunnerTest, DoesNotComputeASeedWithoutAResultAgain) {
+  Plan curves = plan(2);
+  curves.wanted = {"anchor-states"};
+  const Outcome outcome = run(curves);
+  EXPECT_GT(outcome.results.at("anchor-states").at("").at(1).size(), 1000U);
+  const std::filesystem::path file = folder_ / "runs" / "anchor-states-2.json";
+  Json stored = Json::parse(std::ifstream(file));
+  EXPECT_TRUE(stored.at("result").is_null());
+  stored["kept"] = true;
+  std::ofstream(file) << stored.dump();
+  EXPECT_TRUE(run(curves).results.at("anchor-states").at("").at(2).is_null());
+  EXPECT_TRUE(Json::parse(std::ifstream(file)).value("kept", false));
+}
+
 TEST_F(RunnerTest, SummaryAndPageHaveThePapersFiguresBesideOurs) {
   const Plan of = plan(2);
   const Outcome outcome = run(of);
