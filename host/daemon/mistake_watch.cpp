@@ -23,8 +23,6 @@ constexpr double kNever_s = -std::numeric_limits<double>::infinity();
 constexpr double kOdometryPeriod_s = 0.05;
 constexpr double kMostRanges_hz = 100.0;
 constexpr double kLongestHold_s = 0.5;
-// Of the search's thread; localization has priority.
-constexpr int kSearchNiceness = 10;
 
 // What the calling thread has used of a processor, s.
 double thread_time_s() noexcept {
@@ -131,9 +129,10 @@ void MistakeWatch::service(double now_s) {
   }
   if (!is_due(now_s)) return;
   moved_m_ = 0.0;
-  search_ = std::async(std::launch::async, [data = data(), calibration = *calibration_]() mutable {
+  search_ = std::async(std::launch::async, [data = data(), calibration = *calibration_,
+                                            niceness = setup_.search_niceness]() mutable {
     // On Linux this sets the priority of the calling thread only.
-    ::setpriority(PRIO_PROCESS, static_cast<id_t>(::gettid()), kSearchNiceness);
+    ::setpriority(PRIO_PROCESS, static_cast<id_t>(::gettid()), niceness);
     const auto by_time = [](const auto& a, const auto& b) { return a.t_s < b.t_s; };
     std::stable_sort(data.ranges.begin(), data.ranges.end(), by_time);
     std::stable_sort(data.odometry.begin(), data.odometry.end(), by_time);

@@ -75,7 +75,8 @@ class MistakeWatch : public MeasurementSink {
   struct Setup {
     model::RangePriors priors;
     model::Surface surface;
-    bool learns = false;  // anchors that the calibration lacks are no mistake
+    bool learns = false;       // anchors that the calibration lacks are no mistake
+    int search_niceness = 10;  // localization has priority
   };
 
   explicit MistakeWatch(Setup setup);

@@ -212,7 +212,8 @@ TEST_F(GromadTest, CorrectsTheClockOfRangesByItsCalibration) {
 
 // As groma replay does, from the last two minutes.
 TEST_F(GromadTest, NamesAMistakeOfTheOdometryInStatusAndLog) {
-  constexpr double kFast = 8.0;
+  // A machine that cannot keep up makes messages late, which gromad takes for steps of the robot's clock.
+  const double kFast = GROMA_IS_SANITIZED ? 3.0 : 8.0;
   SimulatedSite site(folder_.path(), kFast);
   site.on_lines = [](double t_s, const std::string& lines) {
     const std::string odometry =
@@ -233,7 +234,9 @@ TEST_F(GromadTest, NamesAMistakeOfTheOdometryInStatusAndLog) {
   };
   const auto is_named = [&] { return !finding().is_null(); };
   // Two searches take their time on a busy machine.
-  ASSERT_TRUE(run_until(site, gromad, is_named) || run_until(site, gromad, is_named)) << gromad.log();
+  bool is_found = false;
+  for (int i = 0; i < 5 && !is_found; ++i) is_found = run_until(site, gromad, is_named);
+  ASSERT_TRUE(is_found) << gromad.log();
   EXPECT_NEAR(finding().at("value"), 1.2, 0.05);
   EXPECT_THAT(gromad.log(), HasSubstr("odometry-scale: the odometry moves"));
 }
