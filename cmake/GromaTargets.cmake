@@ -50,15 +50,18 @@ if(GROMA_LLD AND NOT GROMA_BARE_METAL)
   target_link_options(groma_build_options INTERFACE -fuse-ld=lld)
 endif()
 
-# For tests, which take longer to build than to run. At -O1 GCC 12 wrongly assumes that Eigen's dynamic
-# matrices are null.
+# For tests, which take longer to build than to run; at -O0 half as long as at -O1. The linker may take a test's
+# instance of a template for the libraries too: tests of estimators would take ten times as long at -O0. At -O1
+# GCC 12 wrongly assumes that Eigen's dynamic matrices are null.
 add_library(groma_test_options INTERFACE)
-target_compile_options(
-  groma_test_options
-  INTERFACE
-    "$<$<CONFIG:Release>:-O1;-g0>"
-    -Wno-null-dereference
-)
+target_compile_options(groma_test_options INTERFACE "$<$<CONFIG:Release>:-g0>" -Wno-null-dereference)
+add_library(groma_optimized_test_options INTERFACE)
+target_compile_options(groma_optimized_test_options INTERFACE "$<$<CONFIG:Release>:-O1>")
+add_library(groma_plain_test_options INTERFACE)
+target_compile_options(groma_plain_test_options INTERFACE $<IF:$<BOOL:${GROMA_BARE_METAL}>,-O1,-O0>)
+foreach(options groma_optimized_test_options groma_plain_test_options)
+  target_link_libraries(${options} INTERFACE groma_test_options)
+endforeach()
 
 # For targets in which GCC 12 warns that Eigen's dynamic matrices are null after a failed allocation.
 add_library(groma_dynamic_eigen INTERFACE)
@@ -90,15 +93,15 @@ function(groma_executable)
 endfunction()
 
 # groma_test(NAME <name> SOURCES ... [DEPENDS ...] [DEFINITIONS ...] [LABELS ...] [SHARDS n] [TIMEOUT s]
-#            [STATISTICS] [LONG pattern] [UNEMULATED pattern] [SLOW] [UNSANITIZED]): a GoogleTest program.
+#            [STATISTICS] [LONG pattern] [UNEMULATED pattern] [SLOW] [UNSANITIZED] [OPTIMIZED]): a GoogleTest program.
 # Each of its n shards is one CTest test: one process that runs every n-th case. A program with the label
 # "long" is only built with GROMA_LONG_TESTS. So are the cases that match LONG (a GoogleTest filter), as a
 # separate CTest test. SLOW: `scripts/test --quick` leaves it out. STATISTICS: the program does not run under
 # a sanitizer, nor do cases named OverMany, because many drives execute no other code than one. UNSANITIZED:
 # under a sanitizer the program runs only with GROMA_LONG_TESTS, as do the cases that match GROMA_UNSANITIZED,
-# and in QEMU those that match UNEMULATED.
+# and in QEMU those that match UNEMULATED. OPTIMIZED: the program would otherwise take longer to run than it saves to build.
 function(groma_test)
-  cmake_parse_arguments(arg "STATISTICS;SLOW;UNSANITIZED" "NAME;TIMEOUT;SHARDS;LONG;UNEMULATED" "SOURCES;DEPENDS;DEFINITIONS;LABELS" ${ARGN})
+  cmake_parse_arguments(arg "STATISTICS;SLOW;UNSANITIZED;OPTIMIZED" "NAME;TIMEOUT;SHARDS;LONG;UNEMULATED" "SOURCES;DEPENDS;DEFINITIONS;LABELS" ${ARGN})
   if(("long" IN_LIST arg_LABELS AND NOT GROMA_LONG_TESTS) OR (arg_STATISTICS AND GROMA_SANITIZE)
      OR (arg_UNSANITIZED AND GROMA_SANITIZE AND NOT GROMA_LONG_TESTS))
     return()
@@ -121,10 +124,14 @@ function(groma_test)
   set(support ${arg_SOURCES})
   list(FILTER support INCLUDE REGEX "/test/support/")
   set_source_files_properties(${support} PROPERTIES SKIP_UNITY_BUILD_INCLUSION ON)
-  target_link_libraries(${arg_NAME} PRIVATE groma_build_options groma_test_options ${arg_DEPENDS} GTest::gtest GTest::gmock GTest::gtest_main)
+  set(kind plain)
+  if(arg_OPTIMIZED)
+    set(kind optimized)
+  endif()
+  target_link_libraries(${arg_NAME} PRIVATE groma_build_options groma_${kind}_test_options ${arg_DEPENDS} GTest::gtest GTest::gmock GTest::gtest_main)
   target_compile_definitions(${arg_NAME} PRIVATE ${arg_DEFINITIONS})
-  if(TARGET groma_test_headers)
-    target_precompile_headers(${arg_NAME} REUSE_FROM groma_test_headers)
+  if(TARGET groma_${kind}_test_headers)
+    target_precompile_headers(${arg_NAME} REUSE_FROM groma_${kind}_test_headers)
   endif()
   set(left_out "")
   if(GROMA_SANITIZE)
@@ -177,13 +184,13 @@ function(groma_test)
   endif()
 endfunction()
 
-# groma_campaign(NAME <name> SOURCES ... SHORT ... LONG ... [DEPENDS ...] [TIMEOUT s] [STATISTICS] [SLOW]):
+# groma_campaign(NAME <name> SOURCES ... SHORT ... LONG ... [DEPENDS ...] [TIMEOUT s] [STATISTICS] [SLOW] [OPTIMIZED]):
 # the tests <name>_test and, long, <name> of the same sources; SHORT and LONG are their definitions; TIMEOUT
 # is that of the long one.
 function(groma_campaign)
-  cmake_parse_arguments(arg "STATISTICS;SLOW" "NAME;TIMEOUT" "SOURCES;DEPENDS;SHORT;LONG" ${ARGN})
+  cmake_parse_arguments(arg "STATISTICS;SLOW;OPTIMIZED" "NAME;TIMEOUT" "SOURCES;DEPENDS;SHORT;LONG" ${ARGN})
   set(common SOURCES ${arg_SOURCES} DEPENDS ${arg_DEPENDS})
-  foreach(option STATISTICS SLOW)
+  foreach(option STATISTICS SLOW OPTIMIZED)
     if(arg_${option})
       list(APPEND common ${option})
     endif()

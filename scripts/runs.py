@@ -1,4 +1,5 @@
-"""What scripts/golden, scripts/replay-campaign, scripts/ablation and scripts/results share: data sets cut and changed."""
+"""What scripts/golden, scripts/replay-campaign, scripts/ablation and scripts/results share: data sets cut and changed,
+and distances."""
 import os
 import re
 
@@ -9,6 +10,15 @@ def middle(source):
         rows = file.read().splitlines()
     column = rows[0].split(",").index("t_s")
     return repr(0.5 * (float(rows[1].split(",")[column]) + float(rows[-1].split(",")[column])))
+
+
+def distance(covariance, error):
+    """e' P^-1 e of three numbers."""
+    (a, b, c), (_, e, f), (_, _, g) = covariance
+    adjugate = ((e * g - f * f, c * f - b * g, b * f - c * e), (c * f - b * g, a * g - c * c, b * c - a * f),
+                (b * f - c * e, b * c - a * f, a * e - b * b))
+    determinant = a * adjugate[0][0] + b * adjugate[0][1] + c * adjugate[0][2]
+    return sum(error[i] * adjugate[i][j] * error[j] for i in range(3) for j in range(3)) / determinant
 
 
 def with_sigmas(source, target, ranges, odometry):

@@ -19,7 +19,7 @@
 
 namespace groma::calibration {
 
-// By hand. With them one step over a drive of 1200 s takes 0.45 s of CPU time (docs/results.md).
+// By hand. With them one step over a drive of 1200 s takes 0.45 s of CPU time (docs/measurements.md).
 struct DriveStoreLimits {
   double segment_s = 1.0;            // the drive is stored and dropped in segments of this length
   std::size_t segments = 600;        // kept for the places they cover

@@ -20,6 +20,7 @@
 #include "host/io/exit_code.hpp"
 #include "host/reproduce/report.hpp"
 #include "host/reproduce/runner.hpp"
+#include "host/reproduce/summary.hpp"
 
 namespace groma::cli {
 
@@ -49,15 +50,17 @@ std::string text_of(const reproduce::Json& summary) {
   std::string text;
   for (const auto& [experiment, rows] : summary.items()) {
     Table table({experiment, "metric", "paper", "its filter here", "ours"});
-    for (const auto& [row, of] : rows.items()) {
-      for (const auto& [metric, ours] : of.at("ours").items()) {
+    for (const auto& [row, figures] : rows.items()) {
+      const reproduce::Json& of = figures;
+      for (const auto& [name, any] : of.at(of.contains("ours") ? "ours" : "published").items()) {
         const auto number = [](const reproduce::Json& value) {
           return value.is_number() ? fmt::format("{:.3f}", value.get<double>()) : std::string("-");
         };
-        const bool has_published = of.contains("published") && of.at("published").contains(metric);
-        table.add({row, metric, number(ours.at("paper")),
-                   has_published ? number(of.at("published").at(metric).at("median")) : "-",
-                   number(ours.at("median"))});
+        const auto median = [&, &metric = name](const char* who) {
+          const bool has = of.contains(who) && of.at(who).contains(metric);
+          return has ? number(of.at(who).at(metric).at("median")) : "-";
+        };
+        table.add({row, name, number(any.at("paper")), median("published"), median("ours")});
       }
     }
     text += table.format() + '\n';

@@ -57,7 +57,7 @@ struct GateConfig {
   double garbage_width_m = 50.0;  // their errors are uniform over this width. By hand
 
   // LOS/NLOS hint by the received powers, estimated on site: see PowerHint. All by hand. Simulated Powers.*
-  // (docs/results.md): 0.63 times the error without powers; 0.90 times if powers carry no information.
+  // (docs/measurements.md): 0.63 times the error without powers; 0.90 times if powers carry no information.
   double hint_most = 10.0;         // bound of one range's likelihood ratio; 1: powers are not used
   double hint_s = 0.2;             // ranges of a pair that are closer are correlated and count as one
   double hint_memory_s = 600.0;    // time constant of the counts

@@ -12,7 +12,7 @@ namespace {
 using model::square;
 
 // "By hand" is explained in config.hpp. The tests of all of them are the simulated SlipWatch.* and Slip.*;
-// docs/results.md has the errors with and without slip detection.
+// docs/measurements.md has the errors with and without slip detection.
 constexpr double kUsual_s = 3.0;     // time constant of a pair's mean LOS innovation. By hand
 constexpr double kMostSigmas = 3.0;  // bound of one range's excess. Statistics: 0.3 % of LOS ranges
 // Shortfall of an anchor's mean from which a slip is searched for. Statistics: 0.6 % of LOS means.

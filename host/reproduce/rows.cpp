@@ -8,12 +8,15 @@ namespace groma::reproduce {
 namespace {
 
 constexpr double kCurve_s = 1.0;
+constexpr double kEllipse_s = 20.0;
 
 Json scored(const std::vector<model::PlanarEstimate>& rows, const io::Dataset& drive, bool has_curves) {
   Json out{{"score", score(rows, drive.ground_truth)}};
   if (!has_curves) return out;
   out["errors"] = error_curve(rows, drive.ground_truth, kCurve_s);
   out["path"] = path_of(rows, kCurve_s);
+  out["truth"] = path_of(drive.ground_truth, kCurve_s);
+  out["ellipses"] = ellipses_of(rows, kEllipse_s);
   return out;
 }
 

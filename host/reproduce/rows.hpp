@@ -30,7 +30,8 @@ struct Input {
 };
 
 // {key: {"ours": {"score", "update_ns", "propagate_ns"}, "published": {"score", "facts"}}, ...}, both with
-// "errors" and "path" if the settings ask for curves. Without groma-baselines nothing is published.
+// "errors", "path", "truth" and "ellipses" if the settings ask for curves. Without groma-baselines nothing is
+// published.
 [[nodiscard]] Json run_rows(const std::vector<Row>& rows, const Input& ours, const Input& published,
                             const Settings& settings);
 

@@ -51,6 +51,16 @@ class EachStep {
   double next_s_ = -std::numeric_limits<double>::infinity();
 };
 
+template <class Row, class ToJson>
+Json points_of(const std::vector<Row>& rows, double step_s, const ToJson& to_json) {
+  Json out = Json::array();
+  EachStep step(step_s);
+  for (const Row& row : rows) {
+    if (step.is_due(row.t_s)) out.push_back(to_json(row));
+  }
+  return out;
+}
+
 }  // namespace
 
 std::optional<filter::ReplayOptions> replay_options(const io::Dataset& drive, filter::Model model) {
@@ -108,12 +118,17 @@ Json error_curve(const std::vector<model::PlanarEstimate>& rows, const std::vect
 }
 
 Json path_of(const std::vector<model::PlanarEstimate>& rows, double step_s) {
-  Json out = Json::array();
-  EachStep step(step_s);
-  for (const model::PlanarEstimate& row : rows) {
-    if (step.is_due(row.t_s)) out.push_back({row.x_m, row.y_m, row.t_s});
-  }
-  return out;
+  return points_of(rows, step_s, [](const auto& row) { return Json{row.x_m, row.y_m, row.t_s}; });
+}
+
+Json path_of(const std::vector<model::PoseSample>& rows, double step_s) {
+  return points_of(rows, step_s, [](const auto& row) { return Json{row.x_m, row.y_m, row.t_s}; });
+}
+
+Json ellipses_of(const std::vector<model::PlanarEstimate>& rows, double step_s) {
+  return points_of(rows, step_s, [](const auto& row) {
+    return Json{row.x_m, row.y_m, row.covariance(0, 0), row.covariance(0, 1), row.covariance(1, 1)};
+  });
 }
 
 Baselines::Baselines() {

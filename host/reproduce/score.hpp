@@ -49,6 +49,9 @@ struct Localized {
                                const std::vector<model::PoseSample>& truth, double step_s);
 // [[x_m, y_m, t_s], ...], a point each step_s.
 [[nodiscard]] Json path_of(const std::vector<model::PlanarEstimate>& rows, double step_s);
+[[nodiscard]] Json path_of(const std::vector<model::PoseSample>& rows, double step_s);
+// [[x_m, y_m, variance of x, covariance, variance of y], ...], one each step_s.
+[[nodiscard]] Json ellipses_of(const std::vector<model::PlanarEstimate>& rows, double step_s);
 
 // groma-baselines, which may not be there.
 class Baselines {

@@ -34,7 +34,7 @@ std::unique_ptr<Method> make_particles(const Drive& drive, const Parameters& par
 // S from 101 on, which no table uses, rounded to three digits:
 //   groma-baselines tune METHOD --runs D=R/calibration.yaml ... --draws 100     seeds 101 to 104
 //   groma-baselines tune particle-filter ... --draws 30 --to 170                seeds 101 to 103
-// The kernel of the graphs is by hand; docs/results.md has the errors with others.
+// The kernel of the graphs is by hand; docs/reference/baselines.md has the errors with others.
 const std::vector<MethodInfo>& methods() {
   static const std::vector<MethodInfo> all{
       {.name = "paper-odometry",

@@ -1,5 +1,5 @@
 // Ranges per second over preambles, tags and anchors, measured on simulated sites:
-//   rates             the tables of docs/results.md, as Markdown
+//   rates             the tables of docs/measurements.md, as Markdown
 //   rates NAME VALUE ...   one site, by the usual schedule except for what is named: tags, anchors, preamble,
 //                     backups, turn_round_us, gap_us, guard_us, arm_ahead (0, 1), key (0, 1), final (0, 1:
 //                     METHOD_DS_FINAL), raw (0, 1), seconds, threads; emulated (0, 1) with instruction

@@ -15,6 +15,7 @@
 #include "host/reproduce/rows.hpp"
 #include "host/reproduce/runner.hpp"
 #include "host/reproduce/sensitivity.hpp"
+#include "host/reproduce/summary.hpp"
 #include "host/simulation/drive_dataset.hpp"
 #include "test/support/scratch_folder.hpp"
 
@@ -102,6 +103,58 @@ TEST(Band, IsMedianAndQuantiles) {
   EXPECT_EQ(band({}).count, 0U);
   EXPECT_DOUBLE_EQ(band({1.0, 3.0, 2.0}).high, 2.9);
   EXPECT_DOUBLE_EQ(band({1.0, 2.0}).median, 1.5);
+}
+
+// A result of one seed with these figures at one level or method.
+Json scored(double ate_m, double nees) {
+  return {{"ate_m", {{"mean", ate_m}, {"max", 2.0 * ate_m}}}, {"nees", {{"mean", nees}}}};
+}
+
+TEST(Summary, SaysAtWhichLevelsAFactorBreaks) {
+  const Factor& factor = factors().front();
+  Outcome outcome;
+  for (const std::uint64_t seed : {1U, 2U, 3U}) {
+    Json levels = Json::array();
+    for (std::size_t i = 0; i < factor.levels.size(); ++i) {
+      const double ate_m = i + 1 == factor.levels.size() ? 0.4 : 0.02;
+      levels.push_back(
+          {{"score", scored(ate_m + 0.001 * static_cast<double>(seed), 1.0)}, {"anchor_error_m", 0.03}});
+    }
+    outcome.results["sensitivity"][factor.name][seed] = levels;
+  }
+  const Json summary = summary_of(outcome).at("sensitivity");
+  ASSERT_EQ(summary.size(), factor.levels.size());
+  for (std::size_t i = 0; i < factor.levels.size(); ++i) {
+    const Json& level = summary.at(factor.name + ": " + factor.levels[i].label);
+    EXPECT_EQ(level.at("is_broken").get<bool>(), i + 1 == factor.levels.size());
+    EXPECT_EQ(level.at("ours").at("ate_m_mean").at("seeds").get<int>(), 3);
+  }
+  const Json& first = summary.begin()->at("ours");
+  EXPECT_NEAR(first.at("ate_m_mean").at("median").get<double>(), 0.022, 1e-12);
+  EXPECT_NEAR(first.at("anchor_error_m").at("median").get<double>(), 0.03, 1e-12);
+}
+
+TEST(Summary, ANeesAboveFourIsABreakToo) {
+  const LevelBands usual{.ate_m = band({0.02}), .nees = band({1.0}), .anchors_m = band({0.02})};
+  EXPECT_FALSE(is_broken(usual, usual));
+  EXPECT_TRUE(is_broken({.ate_m = band({0.02}), .nees = band({4.1}), .anchors_m = band({0.02})}, usual));
+  EXPECT_TRUE(is_broken({.ate_m = band({0.1}), .nees = band({1.0}), .anchors_m = band({0.02})}, usual));
+}
+
+TEST(Summary, PutsBaselinesAndRecordedRunsWithTheirOwners) {
+  Outcome outcome;
+  outcome.results["baselines"][""][1] = {{"schmidt", {{"score", scored(0.02, 1.0)}, {"us_per_range", 2.0}}},
+                                         {"trilateration", {{"score", nullptr}, {"us_per_range", 1.0}}}};
+  outcome.results["recorded"]["a hall, halves"][1] = {
+      {"adapted", {{"ours", {{"score", scored(0.1, 1.0)}}}, {"published", {{"score", scored(0.2, 9.0)}}}}}};
+  const Json summary = summary_of(outcome);
+  EXPECT_TRUE(summary.at("baselines").at("schmidt").contains("ours"));
+  const Json& other = summary.at("baselines").at("trilateration").at("published");
+  EXPECT_TRUE(other.at("ate_m_mean").at("median").is_null());
+  EXPECT_EQ(other.at("us_per_range").at("median").get<double>(), 1.0);
+  const Json& run = summary.at("recorded").at("a hall, halves: adapted");
+  EXPECT_EQ(run.at("ours").at("ate_m_max").at("median").get<double>(), 0.2);
+  EXPECT_EQ(run.at("published").at("nees_mean").at("median").get<double>(), 9.0);
 }
 
 class RunnerTest : public ::testing::Test {
