@@ -212,8 +212,7 @@ TEST_F(GromadTest, CorrectsTheClockOfRangesByItsCalibration) {
 
 // As groma replay does, from the last two minutes.
 TEST_F(GromadTest, NamesAMistakeOfTheOdometryInStatusAndLog) {
-  // A machine that cannot keep up makes messages late, which gromad takes for steps of the robot's clock.
-  const double kFast = GROMA_IS_SANITIZED ? 3.0 : 8.0;
+  constexpr double kFast = 8.0;
   SimulatedSite site(folder_.path(), kFast);
   site.on_lines = [](double t_s, const std::string& lines) {
     const std::string odometry =
