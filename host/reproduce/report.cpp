@@ -47,7 +47,7 @@ std::string source_of(const char* experiment, std::size_t seeds) {
 }
 
 void add_tables(Page& page, const TableSpec& table, const Seeds& seeds) {
-  for (const Column& column : kColumns) {
+  for (const Column& column : columns()) {
     std::vector<std::vector<Cell>> rows;
     for (const TableRow& row : table.rows) {
       const double paper = paper_value(row, column);

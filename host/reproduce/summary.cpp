@@ -7,6 +7,9 @@
 #include <string>
 #include <utility>
 
+#include "host/reproduce/paper.hpp"
+#include "host/reproduce/tables.hpp"
+
 namespace groma::reproduce {
 
 namespace {
@@ -44,7 +47,7 @@ Json table(const TableSpec& table, const Seeds& seeds) {
   Json out = Json::object();
   for (const TableRow& row : table.rows) {
     Json& of = out[row.group.empty() ? row.key : row.group + ": " + row.key];
-    for (const Column& column : kColumns) {
+    for (const Column& column : columns()) {
       const std::string metric = fmt::format("{}_{}", column.figure, column.statistic);
       for (const auto& [name, who] :
            {std::pair{"ours", Who::kOurs}, std::pair{"published", Who::kPublished}}) {
@@ -127,10 +130,6 @@ Band band(std::vector<double> values) {
     return values[below] + (place - static_cast<double>(below)) * (values[above] - values[below]);
   };
   return {quantile(0.05), quantile(0.5), quantile(0.95), values.size()};
-}
-
-double paper_value(const TableRow& row, const Column& column) {
-  return row.paper == nullptr ? kNotGiven : row.paper->*column.row.*column.of_paper;
 }
 
 LevelBands bands_of(const Seeds& seeds, std::size_t level) {

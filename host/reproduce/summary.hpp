@@ -1,14 +1,11 @@
 // The figures of experiments over their seeds.
 #pragma once
 
-#include <array>
 #include <cstddef>
 #include <vector>
 
-#include "host/reproduce/paper.hpp"
 #include "host/reproduce/runner.hpp"
 #include "host/reproduce/sensitivity.hpp"
-#include "host/reproduce/tables.hpp"
 
 namespace groma::reproduce {
 
@@ -21,24 +18,6 @@ struct Band {
 };
 // Not a number and infinite values do not count.
 [[nodiscard]] Band band(std::vector<double> values);
-
-// What a table of poses has for each row.
-struct Column {
-  const char* title;
-  const char* figure;
-  const char* statistic;
-  double PaperStatistic::*of_paper;
-  PaperStatistic PaperRow::*row;
-  const char* format;
-};
-inline constexpr std::array kColumns{
-    Column{"ATE mean m", "ate_m", "mean", &PaperStatistic::mean, &PaperRow::ate_m, "{:.3f}"},
-    Column{"ATE max m", "ate_m", "max", &PaperStatistic::max, &PaperRow::ate_m, "{:.3f}"},
-    Column{"heading mean rad", "ate_rad", "mean", &PaperStatistic::mean, &PaperRow::ate_rad, "{:.3f}"},
-    Column{"NEES mean", "nees", "mean", &PaperStatistic::mean, &PaperRow::nees, "{:.1f}"}};
-
-// kNotGiven where the paper has none.
-[[nodiscard]] double paper_value(const TableRow& row, const Column& column);
 
 // One level of a factor.
 struct LevelBands {

@@ -1,5 +1,7 @@
 #include "host/reproduce/tables.hpp"
 
+#include <array>
+
 namespace groma::reproduce {
 
 const std::vector<TableSpec>& tables() {
@@ -45,6 +47,19 @@ const std::vector<TableSpec>& tables() {
         {"calibrated by another drive", "adapted", "ours: schmidt, calibrated by another drive", nullptr}}},
   };
   return all;
+}
+
+std::span<const Column> columns() {
+  static constexpr std::array kColumns{
+      Column{"ATE mean m", "ate_m", "mean", &PaperStatistic::mean, &PaperRow::ate_m, "{:.3f}"},
+      Column{"ATE max m", "ate_m", "max", &PaperStatistic::max, &PaperRow::ate_m, "{:.3f}"},
+      Column{"heading mean rad", "ate_rad", "mean", &PaperStatistic::mean, &PaperRow::ate_rad, "{:.3f}"},
+      Column{"NEES mean", "nees", "mean", &PaperStatistic::mean, &PaperRow::nees, "{:.1f}"}};
+  return kColumns;
+}
+
+double paper_value(const TableRow& row, const Column& column) {
+  return row.paper == nullptr ? kNotGiven : row.paper->*column.row.*column.of_paper;
 }
 
 std::vector<double> values_of(const Seeds& seeds, const TableRow& row, Who who, std::string_view figure,

@@ -1,6 +1,7 @@
 // Tables of the source paper beside the same rows here.
 #pragma once
 
+#include <span>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -23,6 +24,19 @@ struct TableSpec {
   std::string remark;  // what is comparable, and what is not
   std::vector<TableRow> rows;
 };
+
+// What a table of poses has for each row.
+struct Column {
+  const char* title;
+  const char* figure;
+  const char* statistic;
+  double PaperStatistic::*of_paper;
+  PaperStatistic PaperRow::*row;
+  const char* format;
+};
+[[nodiscard]] std::span<const Column> columns();
+// kNotGiven where the paper has none.
+[[nodiscard]] double paper_value(const TableRow& row, const Column& column);
 
 // "indoor", "table2" and "table3".
 [[nodiscard]] const std::vector<TableSpec>& tables();
