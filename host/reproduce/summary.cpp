@@ -46,7 +46,7 @@ Band band_at(const Seeds& seeds, std::initializer_list<std::string_view> names) 
 Json table(const TableSpec& table, const Seeds& seeds) {
   Json out = Json::object();
   for (const TableRow& row : table.rows) {
-    Json& of = out[row.group.empty() ? row.key : row.group + ": " + row.key];
+    Json& of = out[row.group.empty() ? row.key : fmt::format("{}: {}", row.group, row.key)];
     for (const Column& column : columns()) {
       const std::string metric = fmt::format("{}_{}", column.figure, column.statistic);
       for (const auto& [name, who] :
@@ -106,7 +106,7 @@ Json recorded(const std::map<std::string, Seeds>& parts) {
   for (const auto& [run, seeds] : parts) {
     for (const auto& [filter, both] : seeds.begin()->second.items()) {
       for (const auto& [who, scored] : both.items()) {
-        out[run + ": " + filter][who] = {
+        out[fmt::format("{}: {}", run, filter)][who] = {
             {"ate_m_mean", to_json(band_at(seeds, {filter, who, "score", "ate_m", "mean"}))},
             {"ate_m_max", to_json(band_at(seeds, {filter, who, "score", "ate_m", "max"}))},
             {"nees_mean", to_json(band_at(seeds, {filter, who, "score", "nees", "mean"}))}};
