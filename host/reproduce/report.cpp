@@ -49,7 +49,8 @@ std::string source_of(const char* experiment, std::size_t seeds) {
 // Why a row of ours is not ahead of the paper's figure.
 const char* why_behind(const TableRow& row) {
   if (row.key == "odometry") return "the odometry here is about as wrong as the paper's, on purpose";
-  if (row.key == "original") return "it takes ranges for unbiased, as the paper's does, and no gate can mend that";
+  if (row.key == "original")
+    return "it takes ranges for unbiased, as the paper's does, and no gate can mend that";
   return "the cause is not known";
 }
 
