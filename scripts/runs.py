@@ -21,19 +21,10 @@ def distance(covariance, error):
     return sum(error[i] * adjugate[i][j] * error[j] for i in range(3) for j in range(3)) / determinant
 
 
-def with_sigmas(source, target, ranges, odometry):
-    """`source`, or a copy of it in `target` whose dataset.yaml gives the sigmas of ranges and of odometry times a factor."""
-    if ranges == 1.0 and odometry == 1.0:
-        return source
-    if os.path.isdir(target):
-        return target
+def changed(source, target, change):
+    """A copy of a data set in `target`, whose dataset.yaml is what `change` makes of its text."""
     with open(os.path.join(source, "dataset.yaml")) as file:
-        text = file.read()
-    scale = lambda factor: lambda match: f"{match[1]}{float(match[2]) * factor:.9g}"
-    text, found = re.subn(r"(range: *\{ *sigma_m: *)([0-9.e-]+)", scale(ranges), text)
-    text, axes = re.subn(r"(sigma_v[xy]_mps: *|sigma_omega_radps: *)([0-9.e-]+)", scale(odometry), text)
-    if (found, axes) != (1, 3):
-        raise SystemExit(f"{source}/dataset.yaml does not give the sigmas of ranges and odometry as expected")
+        text = change(file.read())
     os.makedirs(target)
     for name in os.listdir(source):
         if name != "dataset.yaml":
@@ -41,3 +32,21 @@ def with_sigmas(source, target, ranges, odometry):
     with open(os.path.join(target, "dataset.yaml"), "w") as file:
         file.write(text)
     return target
+
+
+def with_sigmas(source, target, ranges, odometry):
+    """`source`, or a copy of it in `target` whose dataset.yaml gives the sigmas of ranges and of odometry times a factor."""
+    if ranges == 1.0 and odometry == 1.0:
+        return source
+    if os.path.isdir(target):
+        return target
+
+    def scaled(text):
+        scale = lambda factor: lambda match: f"{match[1]}{float(match[2]) * factor:.9g}"
+        text, found = re.subn(r"(range: *\{ *sigma_m: *)([0-9.e-]+)", scale(ranges), text)
+        text, axes = re.subn(r"(sigma_v[xy]_mps: *|sigma_omega_radps: *)([0-9.e-]+)", scale(odometry), text)
+        if (found, axes) != (1, 3):
+            raise SystemExit(f"{source}/dataset.yaml does not give the sigmas of ranges and odometry as expected")
+        return text
+
+    return changed(source, target, scaled)

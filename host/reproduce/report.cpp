@@ -25,18 +25,21 @@ using report::Cell;
 using report::Chart;
 using report::Ink;
 using report::Page;
+using Pointer = Json::json_pointer;
 
 constexpr double kLowestError_m = 1e-3;
+constexpr double kNs_per_us = 1e3;
 
 std::string number(double value, const char* format) {
   return std::isfinite(value) ? fmt::format(fmt::runtime(format), value) : "–";
 }
 
-std::string text_of(const Band& band, const char* format) {
+// `unit`: how many of the figure's units one of the shown is.
+std::string text_of(const Band& band, const char* format, double unit = 1.0) {
   if (band.count == 0) return "–";
-  std::string median = number(band.median, format);
+  std::string median = number(band.median / unit, format);
   if (band.count == 1) return median;
-  return fmt::format("{} ({}–{})", median, number(band.low, format), number(band.high, format));
+  return fmt::format("{} ({}–{})", median, number(band.low / unit, format), number(band.high / unit, format));
 }
 
 // What a figure shows: from which seeds, and the command that repeats it.
@@ -61,7 +64,7 @@ void add_tables(Page& page, const TableSpec& table, const Seeds& seeds) {
     for (const TableRow& row : table.rows) {
       const double paper = paper_value(row, column);
       const auto of = [&](Who who) {
-        return band(values_of(seeds, row, who, column.figure, column.statistic));
+        return band_at(seeds, run_of(row, who) / "score" / column.figure / column.statistic);
       };
       const Band ours = of(Who::kOurs);
       const bool is_ahead = std::isfinite(paper) && ours.count > 0 && ours.median < paper;
@@ -77,13 +80,10 @@ void add_tables(Page& page, const TableSpec& table, const Seeds& seeds) {
   }
 }
 
-const Json* row_of(const Json& result, const TableRow& row) {
-  const Json* at = &result;
-  if (!row.group.empty()) {
-    if (!result.contains(row.group)) return nullptr;
-    at = &result.at(row.group);
-  }
-  return at->contains(row.key) ? &at->at(row.key) : nullptr;
+// A part of a row's run; null if the result has none.
+const Json* part_of(const Json& result, const TableRow& row, Who who, const char* part) {
+  const Pointer at = run_of(row, who) / part;
+  return result.contains(at) ? &result.at(at) : nullptr;
 }
 
 // Errors over time of the first seed; `column`: 1 position, 3 NEES.
@@ -92,10 +92,11 @@ void add_errors(Page& page, const TableSpec& table, const Json& first, std::size
   Chart chart(
       {.x_label = "time (s)", .y_label = label, .log_y = true, .over_time = true, .height_px = 280.0});
   std::size_t series = 0;
-  const auto add = [&](const std::string& name, const Json& run, report::Stroke stroke) {
-    if (!run.is_object() || !run.contains("errors")) return;
+  const auto add = [&](const std::string& name, const TableRow& row, Who who, report::Stroke stroke) {
+    const Json* errors = part_of(first, row, who, "errors");
+    if (errors == nullptr) return;
     std::vector<Vector2d> points;
-    for (const Json& point : run.at("errors")) {
+    for (const Json& point : *errors) {
       const Json& value = point.at(column);
       points.emplace_back(point.at(0).get<double>(),
                           value.is_number() ? std::max(value.get<double>(), kLowestError_m) : report::kNone);
@@ -105,10 +106,9 @@ void add_errors(Page& page, const TableSpec& table, const Json& first, std::size
   };
   for (const TableRow& row : table.rows) {
     if (row.key != "odometry" && row.key != "original" && row.key != "adapted") continue;
-    const Json* run = row_of(first, row);
-    if (run == nullptr || (!row.group.empty() && row.group != table.rows.front().group)) continue;
-    if (row.key == "adapted" && run->contains("ours")) add("schmidt", run->at("ours"), report::Stroke::kThin);
-    if (run->contains("published")) add("paper's " + row.key, run->at("published"), report::Stroke::kDashed);
+    if (!row.group.empty() && row.group != table.rows.front().group) continue;
+    if (row.key == "adapted") add("schmidt", row, Who::kOurs, report::Stroke::kThin);
+    add("paper's " + row.key, row, Who::kPublished, report::Stroke::kDashed);
   }
   page.add_chart(chart, fmt::format("The {} of the paper's filters and of ours. {}", label,
                                     source_of(table.experiment.c_str(), 1)));
@@ -116,38 +116,33 @@ void add_errors(Page& page, const TableSpec& table, const Json& first, std::size
 
 void add_paths(Page& page, const TableSpec& table, const Json& first) {
   Chart map({.x_label = "x (m)", .y_label = "y (m)", .same_scale = true, .height_px = 420.0});
-  const auto add_path = [&](const std::string& name, Ink ink, const Json* run, const char* who,
-                            const char* path, report::Stroke stroke) {
-    if (run == nullptr || !run->contains(who) || !run->at(who).contains(path)) return;
+  const auto add = [&](const std::string& name, Ink ink, const Json* path, report::Stroke stroke) {
+    if (path == nullptr) return;
     std::vector<Eigen::Vector3d> points;
-    for (const Json& point : run->at(who).at(path))
+    for (const Json& point : *path)
       points.emplace_back(point.at(0).get<double>(), point.at(1).get<double>(), point.at(2).get<double>());
     map.add_path(name, ink, points, stroke);
   };
-  const auto add = [&](const std::string& name, Ink ink, const Json* run, const char* who,
-                       report::Stroke stroke) { add_path(name, ink, run, who, "path", stroke); };
-  const auto add_ellipses = [&](Ink ink, const Json* run, const char* who) {
-    if (run == nullptr || !run->contains(who) || !run->at(who).contains("ellipses")) return;
-    std::vector<report::Ellipse> ellipses;
-    for (const Json& at : run->at(who).at("ellipses")) {
-      report::Ellipse& ellipse = ellipses.emplace_back();
+  for (const TableRow& row : table.rows) {
+    if (!row.group.empty() && row.group != table.rows.front().group) continue;
+    const auto part = [&](Who who, const char* name) { return part_of(first, row, who, name); };
+    if (row.key == "odometry") {
+      add("truth", Ink::kTruth, part(Who::kOurs, "truth"), report::Stroke::kBroad);
+      add("odometry", Ink::kOther, part(Who::kOurs, "path"), report::Stroke::kDashed);
+    }
+    if (row.key != "adapted") continue;
+    add("paper's adapted", Ink::kSeries2, part(Who::kPublished, "path"), report::Stroke::kThin);
+    add("schmidt", Ink::kEstimate, part(Who::kOurs, "path"), report::Stroke::kThin);
+    const Json* ellipses = part(Who::kOurs, "ellipses");
+    if (ellipses == nullptr) continue;
+    std::vector<report::Ellipse> drawn;
+    for (const Json& at : *ellipses) {
+      report::Ellipse& ellipse = drawn.emplace_back();
       ellipse.center = {at.at(0).get<double>(), at.at(1).get<double>()};
       ellipse.covariance << at.at(2).get<double>(), at.at(3).get<double>(), at.at(3).get<double>(),
           at.at(4).get<double>();
     }
-    map.add_ellipses("95 % of schmidt", ink, std::move(ellipses));
-  };
-  for (const TableRow& row : table.rows) {
-    if (!row.group.empty() && row.group != table.rows.front().group) continue;
-    if (row.key == "odometry") {
-      add_path("truth", Ink::kTruth, row_of(first, row), "ours", "truth", report::Stroke::kBroad);
-      add("odometry", Ink::kOther, row_of(first, row), "ours", report::Stroke::kDashed);
-    }
-    if (row.key == "adapted") {
-      add("paper's adapted", Ink::kSeries2, row_of(first, row), "published", report::Stroke::kThin);
-      add("schmidt", Ink::kEstimate, row_of(first, row), "ours", report::Stroke::kThin);
-      add_ellipses(Ink::kEstimate, row_of(first, row), "ours");
-    }
+    map.add_ellipses("95 % of schmidt", Ink::kEstimate, std::move(drawn));
   }
   page.add_chart(map, fmt::format("Trajectories. {}", source_of(table.experiment.c_str(), 1)));
 }
@@ -181,31 +176,24 @@ void add_table1(Page& page, const Seeds& seeds) {
   std::vector<report::Mark> marks;
   std::vector<report::Mark> paper;
   for (std::size_t i = 0; i < kTable1.size(); ++i) {
-    std::vector<double> errors_m;
-    std::vector<double> sigmas_m;
-    std::vector<double> nees;
-    for (const auto& [seed, result] : seeds) {
-      const Json& anchor = result.at("anchors").at(i);
-      if (!anchor.at("error_m").is_number()) continue;
-      errors_m.push_back(anchor.at("error_m").get<double>());
-      sigmas_m.push_back(anchor.at("sigma_m").get<double>());
-      nees.push_back(anchor.at("nees").get<double>());
-    }
-    const Band error_m = band(errors_m);
+    const Pointer anchor = Pointer() / "anchors" / i;
+    const Band error_m = band_at(seeds, anchor / "error_m");
     rows.push_back({{fmt::format("{}", kTable1.at(i).id)},
                     {number(kTable1.at(i).error_m, "{:.3f}")},
                     {text_of(error_m, "{:.3f}")},
                     {number(std::sqrt(3.0 * kTable1.at(i).variance_m2), "{:.3f}")},
-                    {text_of(band(sigmas_m), "{:.3f}")},
-                    {text_of(band(nees), "{:.2f}")}});
+                    {text_of(band_at(seeds, anchor / "sigma_m"), "{:.3f}")},
+                    {text_of(band_at(seeds, anchor / "nees"), "{:.2f}")}});
     names.push_back(fmt::format("{}", kTable1.at(i).id));
     marks.push_back({{static_cast<double>(i), error_m.median}, ""});
     paper.push_back({{static_cast<double>(i), kTable1.at(i).error_m}, ""});
   }
-  std::vector<double> means_m;
-  for (const auto& [seed, result] : seeds) means_m.push_back(result.at("mean_m").get<double>());
-  rows.push_back(
-      {{"mean"}, {number(kTable1Mean_m, "{:.2f}")}, {text_of(band(means_m), "{:.3f}")}, {"–"}, {"–"}, {"–"}});
+  rows.push_back({{"mean"},
+                  {number(kTable1Mean_m, "{:.2f}")},
+                  {text_of(band_at(seeds, Pointer() / "mean_m"), "{:.3f}")},
+                  {"–"},
+                  {"–"},
+                  {"–"}});
   page.add_table({"anchor", "error m: paper", "ours", "sigma m: paper", "ours", "NEES ours"}, rows);
   page.add_text("The paper's text gives 0.18 m as the mean; the mean of its table's column is 0.230 m.");
   Chart chart({.x_label = "anchor", .y_label = "error (m)", .height_px = 240.0});
@@ -223,16 +211,10 @@ void add_effort(Page& page, const Seeds& table2) {
       kPropagate_us, kUpdate_us));
   std::vector<std::vector<Cell>> rows;
   for (const char* key : {"original", "adapted", "anchor-states", "joint"}) {
-    std::vector<double> update_us;
-    std::vector<double> propagate_us;
-    for (const auto& [seed, result] : table2) {
-      if (!result.contains(key)) continue;
-      update_us.push_back(1e-3 * result.at(key).at("ours").value("update_ns", 0.0));
-      propagate_us.push_back(1e-3 * result.at(key).at("ours").value("propagate_ns", 0.0));
-    }
+    const Pointer run = Pointer() / key / "ours";
     rows.push_back({{.text = std::string(key) == "adapted" ? "schmidt" : key, .words = true},
-                    {text_of(band(propagate_us), "{:.2f}")},
-                    {text_of(band(update_us), "{:.2f}")}});
+                    {text_of(band_at(table2, run / "propagate_ns"), "{:.2f}", kNs_per_us)},
+                    {text_of(band_at(table2, run / "update_ns"), "{:.2f}", kNs_per_us)}});
   }
   page.add_table({"model", "odometry sample µs", "range µs"}, rows);
   page.add_text(source_of("effort", table2.size()));
@@ -316,25 +298,14 @@ void add_baselines(Page& page, const Seeds& seeds, bool has_program) {
     page.add_notice("Not run:", "groma-baselines is not beside groma. It needs Debian's libceres-dev.",
                     report::Tone::kWarning);
   }
-  std::vector<std::string> methods;
-  for (const auto& [name, run] : seeds.begin()->second.items()) methods.push_back(name);
   std::vector<std::vector<Cell>> rows;
-  for (const std::string& method : methods) {
-    std::array<std::vector<double>, 4> values;
-    for (const auto& [seed, result] : seeds) {
-      const Json& run = result.at(method);
-      values[3].push_back(run.at("us_per_range").get<double>());
-      if (!run.at("score").is_object()) continue;
-      values[0].push_back(run.at("score").at("ate_m").at("mean").get<double>());
-      values[1].push_back(run.at("score").at("ate_m").at("max").get<double>());
-      if (run.at("score").at("nees").is_object())
-        values[2].push_back(run.at("score").at("nees").at("mean").get<double>());
-    }
+  for (const auto& [method, run] : seeds.begin()->second.items()) {
+    const Pointer score = Pointer() / method / "score";
     rows.push_back({{.text = method, .words = true},
-                    {text_of(band(values[0]), "{:.3f}")},
-                    {text_of(band(values[1]), "{:.3f}")},
-                    {text_of(band(values[2]), "{:.2f}")},
-                    {text_of(band(values[3]), "{:.2f}")}});
+                    {text_of(band_at(seeds, score / "ate_m" / "mean"), "{:.3f}")},
+                    {text_of(band_at(seeds, score / "ate_m" / "max"), "{:.3f}")},
+                    {text_of(band_at(seeds, score / "nees" / "mean"), "{:.2f}")},
+                    {text_of(band_at(seeds, Pointer() / method / "us_per_range"), "{:.2f}")}});
   }
   page.add_table({"method", "mean ATE m", "max ATE m", "NEES", "µs a range"}, rows);
   page.add_text(source_of("baselines", seeds.size()));
@@ -351,13 +322,12 @@ void add_recorded(Page& page, const std::map<std::string, Seeds>& parts) {
     std::vector<Cell>& cells = rows.emplace_back();
     cells.push_back({.text = name, .words = true});
     const auto add = [&, &of = seeds](const char* key, Who who) {
-      const TableRow row{"", key, "", nullptr};
-      const auto ate_m = values_of(of, row, who, "ate_m", "mean");
-      const auto nees = values_of(of, row, who, "nees", "mean");
-      cells.push_back({ate_m.empty()
+      const Pointer score = run_of({"", key, "", nullptr}, who) / "score";
+      const Band ate_m = band_at(of, score / "ate_m" / "mean");
+      cells.push_back({ate_m.count == 0
                            ? "–"
-                           : fmt::format("{:.3f}, {}", ate_m.front(),
-                                         nees.empty() ? "–" : fmt::format("{:.1f}", nees.front()))});
+                           : fmt::format("{:.3f}, {}", ate_m.median,
+                                         text_of(band_at(of, score / "nees" / "mean"), "{:.1f}"))});
     };
     add("odometry", Who::kPublished);
     add("original", Who::kPublished);

@@ -14,6 +14,8 @@ namespace groma::reproduce {
 
 namespace {
 
+using Pointer = Json::json_pointer;
+
 Json to_json(const Band& band, double paper = kNotGiven) {
   const auto value = [](double number) { return std::isfinite(number) ? Json(number) : Json(nullptr); };
   return {{"median", value(band.median)},
@@ -23,24 +25,11 @@ Json to_json(const Band& band, double paper = kNotGiven) {
           {"paper", value(paper)}};
 }
 
-// The member of a result at a path of names; null if one is missing.
-const Json* at(const Json& result, std::initializer_list<std::string_view> names) {
-  const Json* found = &result;
-  for (const std::string_view name : names) {
-    if (!found->is_object() || !found->contains(name)) return nullptr;
-    found = &found->at(std::string(name));
-  }
-  return found;
-}
-
-// Over the seeds.
-Band band_at(const Seeds& seeds, std::initializer_list<std::string_view> names) {
-  std::vector<double> values;
-  for (const auto& [seed, result] : seeds) {
-    if (const Json* value = at(result, names); value != nullptr && value->is_number())
-      values.push_back(value->get<double>());
-  }
-  return band(std::move(values));
+// Of poses, where a result has their score.
+Json poses_at(const Seeds& seeds, const Pointer& score) {
+  return {{"ate_m_mean", to_json(band_at(seeds, score / "ate_m" / "mean"))},
+          {"ate_m_max", to_json(band_at(seeds, score / "ate_m" / "max"))},
+          {"nees_mean", to_json(band_at(seeds, score / "nees" / "mean"))}};
 }
 
 Json table(const TableSpec& table, const Seeds& seeds) {
@@ -51,8 +40,8 @@ Json table(const TableSpec& table, const Seeds& seeds) {
       const std::string metric = fmt::format("{}_{}", column.figure, column.statistic);
       for (const auto& [name, who] :
            {std::pair{"ours", Who::kOurs}, std::pair{"published", Who::kPublished}}) {
-        of[name][metric] = to_json(band(values_of(seeds, row, who, column.figure, column.statistic)),
-                                   paper_value(row, column));
+        const Pointer at = run_of(row, who) / "score" / column.figure / column.statistic;
+        of[name][metric] = to_json(band_at(seeds, at), paper_value(row, column));
       }
     }
   }
@@ -81,11 +70,10 @@ Json baselines(const Seeds& seeds) {
   Json out = Json::object();
   for (const auto& [method, run] : seeds.begin()->second.items()) {
     const bool is_ours = method == "schmidt" || method == "joint";
-    out[method][is_ours ? "ours" : "published"] = {
-        {"ate_m_mean", to_json(band_at(seeds, {method, "score", "ate_m", "mean"}))},
-        {"ate_m_max", to_json(band_at(seeds, {method, "score", "ate_m", "max"}))},
-        {"nees_mean", to_json(band_at(seeds, {method, "score", "nees", "mean"}))},
-        {"us_per_range", to_json(band_at(seeds, {method, "us_per_range"}))}};
+    const Pointer at = Pointer() / method;
+    Json& of = out[method][is_ours ? "ours" : "published"];
+    of = poses_at(seeds, at / "score");
+    of["us_per_range"] = to_json(band_at(seeds, at / "us_per_range"));
   }
   return out;
 }
@@ -94,9 +82,9 @@ Json baselines(const Seeds& seeds) {
 Json effort(const Seeds& table2) {
   Json out = Json::object();
   for (const char* key : {"original", "adapted", "anchor-states", "joint"}) {
-    out[key]["ours"] = {
-        {"propagate_ns", to_json(band_at(table2, {key, "ours", "propagate_ns"}), 1e3 * kPropagate_us)},
-        {"update_ns", to_json(band_at(table2, {key, "ours", "update_ns"}), 1e3 * kUpdate_us)}};
+    const Pointer at = Pointer() / key / "ours";
+    out[key]["ours"] = {{"propagate_ns", to_json(band_at(table2, at / "propagate_ns"), 1e3 * kPropagate_us)},
+                        {"update_ns", to_json(band_at(table2, at / "update_ns"), 1e3 * kUpdate_us)}};
   }
   return out;
 }
@@ -106,10 +94,7 @@ Json recorded(const std::map<std::string, Seeds>& parts) {
   for (const auto& [run, seeds] : parts) {
     for (const auto& [filter, both] : seeds.begin()->second.items()) {
       for (const auto& [who, scored] : both.items()) {
-        out[fmt::format("{}: {}", run, filter)][who] = {
-            {"ate_m_mean", to_json(band_at(seeds, {filter, who, "score", "ate_m", "mean"}))},
-            {"ate_m_max", to_json(band_at(seeds, {filter, who, "score", "ate_m", "max"}))},
-            {"nees_mean", to_json(band_at(seeds, {filter, who, "score", "nees", "mean"}))}};
+        out[fmt::format("{}: {}", run, filter)][who] = poses_at(seeds, Pointer() / filter / who / "score");
       }
     }
   }
@@ -132,21 +117,18 @@ Band band(std::vector<double> values) {
   return {quantile(0.05), quantile(0.5), quantile(0.95), values.size()};
 }
 
-LevelBands bands_of(const Seeds& seeds, std::size_t level) {
-  std::vector<double> ate_m;
-  std::vector<double> nees;
-  std::vector<double> anchors_m;
-  const auto add = [](std::vector<double>& to, const Json& value) {
-    if (value.is_number()) to.push_back(value.get<double>());
-  };
+Band band_at(const Seeds& seeds, const Json::json_pointer& at) {
+  std::vector<double> values;
   for (const auto& [seed, result] : seeds) {
-    const Json& at = result.at(level);
-    add(anchors_m, at.at("anchor_error_m"));
-    if (!at.at("score").is_object()) continue;
-    add(ate_m, at.at("score").at("ate_m").at("mean"));
-    if (at.at("score").at("nees").is_object()) add(nees, at.at("score").at("nees").at("mean"));
+    if (result.contains(at) && result.at(at).is_number()) values.push_back(result.at(at).get<double>());
   }
-  return {band(ate_m), band(nees), band(anchors_m)};
+  return band(std::move(values));
+}
+
+LevelBands bands_of(const Seeds& seeds, std::size_t level) {
+  const Pointer at = Pointer() / level;
+  return {band_at(seeds, at / "score" / "ate_m" / "mean"), band_at(seeds, at / "score" / "nees" / "mean"),
+          band_at(seeds, at / "anchor_error_m")};
 }
 
 bool is_broken(const LevelBands& level, const LevelBands& usual) {
@@ -163,7 +145,8 @@ Json summary_of(const Outcome& outcome) {
   with("table1", [](const Parts& parts) {
     return Json{
         {"mean",
-         {{"ours", {{"error_m", to_json(band_at(parts.begin()->second, {"mean_m"}), kTable1Mean_m)}}}}}};
+         {{"ours",
+           {{"error_m", to_json(band_at(parts.begin()->second, Pointer() / "mean_m"), kTable1Mean_m)}}}}}};
   });
   for (const TableSpec& spec : tables())
     with(spec.experiment, [&](const Parts& parts) { return table(spec, parts.begin()->second); });

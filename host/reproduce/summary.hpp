@@ -18,6 +18,8 @@ struct Band {
 };
 // Not a number and infinite values do not count.
 [[nodiscard]] Band band(std::vector<double> values);
+// Of the number that each seed's result has at a pointer, if it has one.
+[[nodiscard]] Band band_at(const Seeds& seeds, const Json::json_pointer& at);
 
 // One level of a factor.
 struct LevelBands {

@@ -62,25 +62,10 @@ double paper_value(const TableRow& row, const Column& column) {
   return row.paper == nullptr ? kNotGiven : row.paper->*column.row.*column.of_paper;
 }
 
-std::vector<double> values_of(const Seeds& seeds, const TableRow& row, Who who, std::string_view figure,
-                              std::string_view statistic) {
-  std::vector<double> out;
-  for (const auto& [seed, result] : seeds) {
-    const Json* at = &result;
-    const auto step = [&](std::string_view name) {
-      if (at == nullptr || !at->is_object()) return;
-      const auto found = at->find(name);
-      at = found == at->end() ? nullptr : &*found;
-    };
-    if (!row.group.empty()) step(row.group);
-    step(row.key);
-    step(who == Who::kOurs ? "ours" : "published");
-    step("score");
-    step(figure);
-    step(statistic);
-    if (at != nullptr && at->is_number()) out.push_back(at->get<double>());
-  }
-  return out;
+Json::json_pointer run_of(const TableRow& row, Who who) {
+  Json::json_pointer at;
+  if (!row.group.empty()) at /= row.group;
+  return at / row.key / (who == Who::kOurs ? "ours" : "published");
 }
 
 }  // namespace groma::reproduce

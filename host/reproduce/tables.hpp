@@ -3,7 +3,6 @@
 
 #include <span>
 #include <string>
-#include <string_view>
 #include <vector>
 
 #include "host/reproduce/paper.hpp"
@@ -42,8 +41,7 @@ struct Column {
 [[nodiscard]] const std::vector<TableSpec>& tables();
 
 enum class Who { kPublished, kOurs };
-// A figure of a row over the seeds, such as of "ate_m" the "mean"; empty without the row.
-[[nodiscard]] std::vector<double> values_of(const Seeds& seeds, const TableRow& row, Who who,
-                                            std::string_view figure, std::string_view statistic);
+// Where a result has the row's run by the filter.
+[[nodiscard]] Json::json_pointer run_of(const TableRow& row, Who who);
 
 }  // namespace groma::reproduce
