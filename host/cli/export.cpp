@@ -29,7 +29,7 @@ struct ExportOptions {
   std::filesystem::path output;
 };
 
-std::optional<convert::Datum> parse_datum(const ExportOptions& options) {
+std::optional<model::Datum> parse_datum(const ExportOptions& options) {
   if (options.datum.empty()) return std::nullopt;
   if (options.format != "geojson") throw CLI::ValidationError("--datum", "is for --format geojson");
   const std::vector<double> numbers = parse_numbers("--datum", options.datum, 3);
@@ -37,10 +37,10 @@ std::optional<convert::Datum> parse_datum(const ExportOptions& options) {
   constexpr double kMaxLongitude_deg = 180.0;
   if (std::abs(numbers[0]) > kMaxLatitude_deg || std::abs(numbers[1]) > kMaxLongitude_deg)
     throw CLI::ValidationError("--datum", "has a latitude or longitude that does not exist");
-  return convert::Datum{numbers[0], numbers[1], numbers[2]};
+  return model::Datum{numbers[0], numbers[1], numbers[2]};
 }
 
-std::string export_calibration(const ExportOptions& options, const std::optional<convert::Datum>& datum) {
+std::string export_calibration(const ExportOptions& options, const std::optional<model::Datum>& datum) {
   const model::Calibration calibration = io::read_calibration(options.input);
   if (options.format == "csv") return convert::to_csv(calibration);
   if (options.format == "geojson") return convert::to_geojson(calibration, datum);
@@ -48,7 +48,7 @@ std::string export_calibration(const ExportOptions& options, const std::optional
                       "give an estimate, or --format csv or geojson");
 }
 
-std::string export_poses(const ExportOptions& options, const std::optional<convert::Datum>& datum) {
+std::string export_poses(const ExportOptions& options, const std::optional<model::Datum>& datum) {
   const std::vector<convert::ExportPose> poses = convert::read_export_poses(options.input);
   if (options.format == "tum") return convert::to_tum(poses);
   if (options.format == "csv") return convert::to_csv(poses);
@@ -56,7 +56,7 @@ std::string export_poses(const ExportOptions& options, const std::optional<conve
 }
 
 int run(const ExportOptions& options) {
-  const std::optional<convert::Datum> datum = parse_datum(options);
+  const std::optional<model::Datum> datum = parse_datum(options);
   io::expect_writable(options.output);
   const std::string extension = options.input.extension();
   const bool is_calibration = extension == ".yaml" || extension == ".yml";

@@ -16,6 +16,7 @@
 #include "host/io/version.hpp"
 #include "host/mcap/writer.hpp"
 #include "host/model/pose.hpp"
+#include "host/ros2/time.hpp"
 
 namespace groma::convert {
 
@@ -62,7 +63,7 @@ class Timeline {
  private:
   bool takes(double t_s) {
     if (t_s < from_s_ || t_s > to_s_) return false;
-    if (has_timestamp(t_s)) return true;
+    if (ros2::has_timestamp(t_s)) return true;
     ++without_timestamp_;
     return false;
   }
@@ -80,9 +81,9 @@ class Timeline {
     for (std::size_t i = 0; i < ranges.size(); ++i) {
       const double t_s = ranges[i].t_s;
       if (!takes(t_s)) continue;
-      if (events_.empty() || to_ns(t_s) >= end_ns) {
+      if (events_.empty() || ros2::to_ns(t_s) >= end_ns) {
         events_.push_back({t_s, Event::Source::kRanges, i, i});
-        end_ns = to_ns(t_s) + kRangesTime_ns;
+        end_ns = ros2::to_ns(t_s) + kRangesTime_ns;
       }
       events_.back().t_s = t_s;
       events_.back().end = i + 1;
@@ -158,18 +159,11 @@ void put_all(const Recording& recording, std::span<const model::SensorSample> se
 
 }  // namespace
 
-std::uint64_t to_ns(double t_s) noexcept {
-  // In two parts, because the product of a time since 1970 has no room for nanoseconds.
-  const double whole_s = std::floor(t_s);
-  return static_cast<std::uint64_t>(whole_s) * kNsPerS +
-         static_cast<std::uint64_t>(std::llround((t_s - whole_s) * 1e9));
-}
-
 void Encoder::write(std::string_view topic, std::string_view schema, double t_s, std::string_view message) {
   auto channel = channels_.find(topic);
   if (channel == channels_.end())
     channel = channels_.emplace(topic, add_channel(writer_, topic, schema)).first;
-  writer_.write(channel->second, to_ns(t_s), message);
+  writer_.write(channel->second, ros2::to_ns(t_s), message);
 }
 
 Converted to_mcap(const Recording& recording, Format format) {

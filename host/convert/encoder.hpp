@@ -14,17 +14,10 @@
 #include "host/filter/tracker.hpp"
 #include "host/mcap/writer.hpp"
 #include "host/model/calibration.hpp"
+#include "host/model/pose.hpp"
 #include "host/model/types.hpp"
 
 namespace groma::convert {
-
-// Times that each format can hold: of ROS 2, 31 bits of seconds.
-[[nodiscard]] constexpr bool has_timestamp(double t_s) noexcept {
-  return t_s >= 0.0 && t_s < 2147483648.0;
-}
-inline constexpr std::uint64_t kNsPerS = 1'000'000'000;
-// Requires has_timestamp().
-[[nodiscard]] std::uint64_t to_ns(double t_s) noexcept;
 
 inline constexpr std::string_view kBaseFrame = "base_link";
 
@@ -37,25 +30,19 @@ struct Site {
   double gyro_sigma_radps = 0.0;
 };
 
-// In the map frame, by default not rotated.
-struct Pose {
-  Eigen::Vector3d position_m = Eigen::Vector3d::Zero();
-  Eigen::Vector4d quaternion{0.0, 0.0, 0.0, 1.0};  // x, y, z, w
-};
-
 // A pose of base_link that was an input; placed on the surface.
 struct InputPose {
   enum class Kind { kPrior, kAbsolute };
   Kind kind = Kind::kPrior;
   double t_s = 0.0;
-  Pose pose;
+  model::QuaternionPose pose;
   std::optional<model::PoseCovariance> covariance;  // none: unknown
 };
 
 // An estimate, at the time of an odometry sample.
 struct Estimate {
   double t_s = 0.0;
-  Pose pose;
+  model::QuaternionPose pose;
   double roll_rad = 0.0;
   double pitch_rad = 0.0;
   double yaw_rad = 0.0;                                                          // the heading on the surface
@@ -72,7 +59,7 @@ class Encoder {
   Encoder(const Encoder&) = delete;
   Encoder& operator=(const Encoder&) = delete;
 
-  // Each t_s has a timestamp. put_site() comes first, once, and only with a calibration.
+  // Each t_s satisfies ros2::has_timestamp(). put_site() comes first, once, and only with a calibration.
   virtual void put_site(double t_s) = 0;
   // Of at most 50 ms, by time; not empty.
   virtual void put(std::span<const model::RangeSample> ranges) = 0;

@@ -4,7 +4,6 @@
 
 #include <cmath>
 #include <iterator>
-#include <numbers>
 
 #include <Eigen/Geometry>
 #include <nlohmann/json.hpp>
@@ -36,12 +35,12 @@ Eigen::Matrix3d rotation_on_surface(double heading_rad, double roll_rad, double 
   return rotation;
 }
 
-Json coordinates(const Eigen::Vector3d& place_m, const std::optional<Datum>& datum) {
-  const Eigen::Vector3d at = datum ? geographic(place_m, *datum) : place_m;
+Json coordinates(const Eigen::Vector3d& place_m, const std::optional<model::Datum>& datum) {
+  const Eigen::Vector3d at = datum ? model::geographic(place_m, *datum) : place_m;
   return Json::array({at.x(), at.y(), at.z()});
 }
 
-std::string finish(Json features, const std::optional<Datum>& datum) {
+std::string finish(Json features, const std::optional<model::Datum>& datum) {
   Json out{{"type", "FeatureCollection"}};
   // A foreign member: RFC 7946 has no name for local coordinates.
   if (!datum) out["coordinate_frame"] = "map, metres";
@@ -49,42 +48,7 @@ std::string finish(Json features, const std::optional<Datum>& datum) {
   return out.dump(1) + '\n';
 }
 
-Eigen::Vector3d ecef(double latitude_rad, double longitude_rad, double height_m, double a_m, double e2) {
-  const double n_m = a_m / std::sqrt(1.0 - e2 * model::square(std::sin(latitude_rad)));
-  return {(n_m + height_m) * std::cos(latitude_rad) * std::cos(longitude_rad),
-          (n_m + height_m) * std::cos(latitude_rad) * std::sin(longitude_rad),
-          (n_m * (1.0 - e2) + height_m) * std::sin(latitude_rad)};
-}
-
 }  // namespace
-
-Eigen::Vector3d geographic(const Eigen::Vector3d& place_m, const Datum& datum) noexcept {
-  constexpr double kA_m = 6378137.0;
-  constexpr double kFlattening = 1.0 / 298.257223563;
-  constexpr double kE2 = kFlattening * (2.0 - kFlattening);
-  constexpr double kDegree = std::numbers::pi / 180.0;
-  const double latitude_rad = datum.latitude_deg * kDegree;
-  const double longitude_rad = datum.longitude_deg * kDegree;
-  Eigen::Matrix3d to_ecef;  // of east, north, up
-  to_ecef << -std::sin(longitude_rad), -std::sin(latitude_rad) * std::cos(longitude_rad),
-      std::cos(latitude_rad) * std::cos(longitude_rad),  //
-      std::cos(longitude_rad), -std::sin(latitude_rad) * std::sin(longitude_rad),
-      std::cos(latitude_rad) * std::sin(longitude_rad),  //
-      0.0, std::cos(latitude_rad), std::sin(latitude_rad);
-  const Eigen::Vector3d at = ecef(latitude_rad, longitude_rad, datum.height_m, kA_m, kE2) + to_ecef * place_m;
-  // Latitude by iteration; it converges by a factor of 1/300 a step.
-  const double radius_m = at.head<2>().norm();
-  double found_rad = std::atan2(at.z(), radius_m * (1.0 - kE2));
-  double height_m = 0.0;
-  constexpr int kSteps = 10;
-  for (int i = 0; i < kSteps; ++i) {
-    const double n_m = kA_m / std::sqrt(1.0 - kE2 * model::square(std::sin(found_rad)));
-    height_m = radius_m * std::cos(found_rad) + at.z() * std::sin(found_rad) -
-               n_m * (1.0 - kE2 * model::square(std::sin(found_rad)));
-    found_rad = std::atan2(at.z() + kE2 * n_m * std::sin(found_rad), radius_m);
-  }
-  return {std::atan2(at.y(), at.x()) / kDegree, found_rad / kDegree, height_m};
-}
 
 std::vector<ExportPose> read_export_poses(const std::filesystem::path& path) {
   const std::string text = io::read_file(path);
@@ -143,7 +107,7 @@ std::string to_csv(const model::Calibration& calibration) {
   return text;
 }
 
-std::string to_geojson(const std::vector<ExportPose>& poses, const std::optional<Datum>& datum) {
+std::string to_geojson(const std::vector<ExportPose>& poses, const std::optional<model::Datum>& datum) {
   Json line = Json::array();
   Json times = Json::array();
   for (const ExportPose& pose : poses) {
@@ -157,7 +121,7 @@ std::string to_geojson(const std::vector<ExportPose>& poses, const std::optional
   return finish(std::move(features), datum);
 }
 
-std::string to_geojson(const model::Calibration& calibration, const std::optional<Datum>& datum) {
+std::string to_geojson(const model::Calibration& calibration, const std::optional<model::Datum>& datum) {
   Json features = Json::array();
   for (const model::AnchorCalibration& anchor : calibration.anchors) {
     if (!model::has_position(anchor)) continue;

@@ -10,16 +10,10 @@
 #include <Eigen/Core>
 
 #include "host/model/calibration.hpp"
+#include "host/model/geographic.hpp"
 #include "host/model/types.hpp"
 
 namespace groma::convert {
-
-// WGS84: the geographic place of the map's origin. The map's x axis points east, y north.
-struct Datum {
-  double latitude_deg = 0.0;
-  double longitude_deg = 0.0;
-  double height_m = 0.0;  // above the ellipsoid
-};
 
 // A pose in space, from an estimate or another table of poses.
 struct ExportPose {
@@ -38,11 +32,9 @@ struct ExportPose {
 [[nodiscard]] std::string to_tum(const std::vector<ExportPose>& poses);
 [[nodiscard]] std::string to_csv(const std::vector<ExportPose>& poses);
 [[nodiscard]] std::string to_csv(const model::Calibration& calibration);
-[[nodiscard]] std::string to_geojson(const std::vector<ExportPose>& poses, const std::optional<Datum>& datum);
+[[nodiscard]] std::string to_geojson(const std::vector<ExportPose>& poses,
+                                     const std::optional<model::Datum>& datum);
 [[nodiscard]] std::string to_geojson(const model::Calibration& calibration,
-                                     const std::optional<Datum>& datum);
-
-// Longitude and latitude (deg) and height (m) of a place in the map.
-[[nodiscard]] Eigen::Vector3d geographic(const Eigen::Vector3d& place_m, const Datum& datum) noexcept;
+                                     const std::optional<model::Datum>& datum);
 
 }  // namespace groma::convert

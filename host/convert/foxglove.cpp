@@ -36,8 +36,8 @@ constexpr double kEllipseChi2 = 5.991;
 constexpr std::uint64_t kEllipseInterval_ns = 100'000'000;
 
 std::string timestamp(double t_s) {
-  const std::uint64_t ns = to_ns(t_s);
-  return ProtoWriter().integer(1, ns / kNsPerS).integer(2, ns % kNsPerS).message();
+  const std::uint64_t ns = ros2::to_ns(t_s);
+  return ProtoWriter().integer(1, ns / ros2::kNsPerS).integer(2, ns % ros2::kNsPerS).message();
 }
 
 std::string vector3(const Eigen::Vector3d& of) {
@@ -48,7 +48,7 @@ std::string quaternion(const Eigen::Vector4d& of) {
   return ProtoWriter().number(1, of.x()).number(2, of.y()).number(3, of.z()).number(4, of.w()).message();
 }
 
-std::string pose(const Pose& of) {
+std::string pose(const model::QuaternionPose& of) {
   return ProtoWriter().bytes(1, vector3(of.position_m)).bytes(2, quaternion(of.quaternion)).message();
 }
 
@@ -218,8 +218,8 @@ class FoxgloveEncoder final : public Encoder {
               .message());
     write_pose("/groma/pose", t_s, estimate.pose);
     write_estimate(estimate);
-    if (to_ns(t_s) >= next_ellipse_ns_) {
-      next_ellipse_ns_ = to_ns(t_s) + kEllipseInterval_ns;
+    if (ros2::to_ns(t_s) >= next_ellipse_ns_) {
+      next_ellipse_ns_ = ros2::to_ns(t_s) + kEllipseInterval_ns;
       ProtoWriter scene;
       scene.bytes(2, ellipse_entity(estimate, site_.frame));
       write("/groma/uncertainty", "foxglove.SceneUpdate", t_s, scene.message());
@@ -233,7 +233,7 @@ class FoxgloveEncoder final : public Encoder {
   }
 
  private:
-  void write_pose(std::string_view topic, double t_s, const Pose& of) {
+  void write_pose(std::string_view topic, double t_s, const model::QuaternionPose& of) {
     ProtoWriter out = in_frame(t_s, site_.frame);
     out.bytes(3, pose(of));
     write(topic, "foxglove.PoseInFrame", t_s, out.message());

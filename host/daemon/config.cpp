@@ -4,6 +4,8 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <array>
+#include <cmath>
 #include <limits>
 #include <set>
 #include <utility>
@@ -208,6 +210,71 @@ RingSettings parse_ring(const YamlValue& yaml, const std::filesystem::path& fold
   return ring;
 }
 
+constexpr std::array<const char*, 3> kGraphs{"off", "humble", "iron"};  // as Ros2Settings::Graph
+constexpr std::int64_t kMaxDomain = 232;                                // the last one whose ports exist
+
+// A name of ROS 2: letters, digits and underscores between slashes, each part beginning with a letter or "_".
+bool is_ros2_name(std::string_view name) {
+  bool begins = true;
+  for (const char c : name) {
+    const bool is_letter = (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || c == '_';
+    const bool is_digit = c >= '0' && c <= '9';
+    if (c == '/' ? begins : begins ? !is_letter : !is_letter && !is_digit) return false;
+    begins = c == '/';
+  }
+  return !begins;
+}
+
+void parse_ros2_topic(const YamlValue& yaml, const char* key, std::string& topic) {
+  const auto value = yaml.find(key);
+  if (!value) return;
+  topic = value->text();
+  if (!topic.empty() && (topic.front() != '/' || !is_ros2_name(std::string_view(topic).substr(1))))
+    value->fail("is no name of a topic", "write it as /odom, or \"\" to read none");
+}
+
+void parse_ros2_frame(const YamlValue& yaml, const char* key, std::string& frame) {
+  const auto value = yaml.find(key);
+  if (!value) return;
+  frame = value->text();
+  if (frame.empty() || frame.front() == '/')
+    value->fail("is no name of a frame", "write it as base_link, without a slash in front");
+}
+
+Ros2Settings parse_ros2(const YamlValue& yaml) {
+  Ros2Settings out;
+  if (const auto domain = yaml.find("domain_id"))
+    out.domain_id = static_cast<std::uint32_t>(domain->integer(0, kMaxDomain));
+  if (const auto name = yaml.find("namespace")) {
+    out.name_space = name->text();
+    if (!is_ros2_name(out.name_space))
+      name->fail("is no namespace", "write it as groma, or robot1/groma, without slashes at its ends");
+  }
+  if (const auto tf = yaml.find("publish_tf")) out.publishes_tf = tf->text() == "true";
+  if (const auto graph = yaml.find("graph")) {
+    const auto at = std::find(kGraphs.begin(), kGraphs.end(), graph->text());
+    out.graph = static_cast<Ros2Settings::Graph>(at - kGraphs.begin());
+  }
+  parse_ros2_topic(yaml, "tf_topic", out.tf_topic);
+  parse_ros2_frame(yaml, "odom_frame", out.odom_frame);
+  parse_ros2_frame(yaml, "base_frame", out.base_frame);
+  parse_ros2_topic(yaml, "odometry_topic", out.odometry_topic);
+  parse_ros2_topic(yaml, "imu_topic", out.imu_topic);
+  parse_ros2_topic(yaml, "fix_topic", out.fix_topic);
+  parse_ros2_topic(yaml, "pose_topic", out.pose_topic);
+  parse_ros2_topic(yaml, "initialpose", out.initialpose);
+  if (const auto datum = yaml.find("datum")) {
+    const std::vector<double> terms = datum->numbers(3);
+    if (std::abs(terms[0]) > 90.0 || std::abs(terms[1]) > 180.0)
+      datum->fail("is beyond the Earth",
+                  "give latitude and longitude of the map's origin in degrees, and its height in m");
+    out.datum = model::Datum{terms[0], terms[1], terms[2]};
+  }
+  if (!out.fix_topic.empty() && !out.datum)
+    yaml.at("fix_topic").fail("needs 'datum'", "give the latitude, longitude and height of the map's origin");
+  return out;
+}
+
 void parse_speed(const YamlValue& yaml, Config& config) {
   config.speed = yaml.number();
   if (config.robot_can && config.speed != 1.0) {
@@ -218,9 +285,9 @@ void parse_speed(const YamlValue& yaml, Config& config) {
 
 // The keys of which at least one is given.
 void expect_robot(const YamlValue& yaml) {
-  if (yaml.find("robot_socket") || yaml.find("robot")) return;
-  yaml.fail("has neither 'robot_socket' nor 'robot'",
-            "name the robot's socket, or give 'listen' or the signals on its CAN bus");
+  if (yaml.find("robot_socket") || yaml.find("robot") || yaml.find("ros2")) return;
+  yaml.fail("has neither 'robot_socket' nor 'robot' nor 'ros2'",
+            "name the robot's socket, give 'listen' or the signals on its CAN bus, or a domain of ROS 2");
 }
 
 // What the value of a top-level key is parsed with.
@@ -292,6 +359,29 @@ YamlType endpoint_type() {
        {"port", YamlType::integer(0, kMaxPort), "TCP port; 0: any free one.", false}});
 }
 
+YamlType ros2_type() {
+  return YamlType::map(
+      {{"domain_id", YamlType::integer(0, kMaxDomain), "ROS_DOMAIN_ID of the other nodes.", false},
+       {"namespace", YamlType::text(), "Of the topics pose, odometry, anchors and links; default groma.",
+        false},
+       {"publish_tf", YamlType::boolean(), "Whether map to odom is published.", false},
+       {"graph", YamlType::word({kGraphs.begin(), kGraphs.end()}),
+        "The release of ROS 2 whose node list shows gromad; iron is also for later ones.", false},
+       {"tf_topic", YamlType::text(), "Topic of transforms; default /tf.", false},
+       {"odom_frame", YamlType::text(), "Frame of the odometry; default odom.", false},
+       {"base_frame", YamlType::text(), "Frame of the robot; default base_link.", false},
+       {"odometry_topic", YamlType::text(),
+        "nav_msgs/Odometry; default /odom, or none if 'robot' or 'robot_socket' is given.", false},
+       {"imu_topic", YamlType::text(), "sensor_msgs/Imu.", false},
+       {"fix_topic", YamlType::text(), "sensor_msgs/NavSatFix; needs datum.", false},
+       {"pose_topic", YamlType::text(), "geometry_msgs/PoseWithCovarianceStamped of another localization.",
+        false},
+       {"initialpose", YamlType::text(), "geometry_msgs/PoseWithCovarianceStamped; default /initialpose.",
+        false},
+       {"datum", YamlType::numbers(3), "The map's origin: latitude and longitude in degrees, height in m.",
+        false}});
+}
+
 YamlType model_type() {
   std::vector<std::string> names;
   names.reserve(std::size(filter::kModels));
@@ -356,6 +446,8 @@ void append_optional(std::vector<ConfigKey>& keys) {
       {{"web", endpoint_type(), "Where counters are served by HTTP.", false}, [](Yaml yaml, In in, Files&) {
          parse_endpoint(yaml, in.config.web.emplace(Endpoint{.address = "127.0.0.1", .port = 4722}));
        }});
+  keys.push_back({{"ros2", ros2_type(), "Topics of ROS 2.", false},
+                  [](Yaml yaml, In in, Files&) { in.config.ros2 = parse_ros2(yaml); }});
   keys.push_back({{"log", YamlType::text(), "File to which all input is appended.", false},
                   [](Yaml yaml, In in, Files&) { in.config.log = parse_path(yaml, in.folder); }});
   keys.push_back({{"ring", ring_type(), "The recording of the last drive.", false},
@@ -381,7 +473,7 @@ YamlType type_of(const std::vector<ConfigKey>& keys) {
   std::vector<io::YamlKey> all;
   all.reserve(keys.size());
   for (const ConfigKey& key : keys) all.push_back(key.key);
-  return YamlType::map(std::move(all), {{.of = {{"robot_socket"}, {"robot"}}, .combines = true},
+  return YamlType::map(std::move(all), {{.of = {{"robot_socket"}, {"robot"}, {"ros2"}}, .combines = true},
                                         {.of = {{"odometry"}, {"steering"}}}});
 }
 
@@ -464,6 +556,10 @@ ConfigReading parse_config(const std::filesystem::path& path, const io::InputFil
       out.config.values[key.key.name] = value->dump() + files.digest();
       out.places[key.key.name] = value->place();
     }
+    // Not two sources of odometry, unless both are named.
+    const bool has_other = yaml.find("robot_socket") || yaml.find("robot");
+    if (out.config.ros2 && !has_other && !yaml.at("ros2").find("odometry_topic"))
+      out.config.ros2->odometry_topic = "/odom";
   } catch (const io::ConfigError& error) {
     errors.add(error);
   } catch (const io::Error& error) {

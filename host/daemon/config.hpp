@@ -22,6 +22,7 @@
 //   model: schmidt                              # this key and all that follow are optional
 //   pose_stream: {address: 127.0.0.1, port: 4721}
 //   web: {address: 127.0.0.1, port: 4722}       # counters for Prometheus at /metrics; default: none
+//   ros2: {domain_id: 0}                        # topics of ROS 2; see ros2_settings.hpp
 //   log: drive.glog                             # measurements are appended to this file
 //   ring: {folder: ring, size_mib: 256}         # the last drive is kept in this folder, in at most that size
 //   last_pose: last-pose.json                   # the next run starts from the pose in this file
@@ -42,6 +43,7 @@
 #include <vector>
 
 #include "host/daemon/can_signals.hpp"
+#include "host/daemon/ros2_settings.hpp"
 #include "host/daemon/tcp_listener.hpp"
 #include "host/filter/config.hpp"
 #include "host/io/dataset.hpp"
@@ -77,7 +79,7 @@ struct Config {
       values;                   // each top-level key's value, with a digest of the files it names
   io::InputFiles::Texts files;  // the file, and those that it names, except the calibration
   std::vector<NodeLink> nodes;
-  // At least one of these three is given.
+  // At least one of these three, or ros2, is given.
   std::filesystem::path robot_socket;               // the robot's software listens there; empty: none
   std::vector<std::filesystem::path> robot_listen;  // the daemon listens there; host/link/line_listener.hpp
   std::optional<CanSignals> robot_can;
@@ -91,6 +93,7 @@ struct Config {
   filter::Model model = filter::Config{}.model;
   Endpoint pose_stream{.address = "127.0.0.1", .port = 4721};
   std::optional<Endpoint> web;                     // none: no HTTP server
+  std::optional<Ros2Settings> ros2;                // none: no ROS 2
   std::optional<std::filesystem::path> log;        // none: nothing is appended
   std::optional<RingSettings> ring;                // none: the last drive is not kept
   std::optional<std::filesystem::path> last_pose;  // none: not kept
@@ -99,7 +102,8 @@ struct Config {
 
   // Of the robot; 1 where none is given, as in a simulation.
   [[nodiscard]] std::size_t robot_links() const noexcept {
-    const std::size_t given = robot_listen.size() + (robot_socket.empty() ? 0U : 1U) + (robot_can ? 1U : 0U);
+    const std::size_t given =
+        robot_listen.size() + (robot_socket.empty() ? 0U : 1U) + (robot_can ? 1U : 0U) + (ros2 ? 1U : 0U);
     return given > 0 ? given : 1;
   }
   // The description of site and robot that a log holds beside its measurements.

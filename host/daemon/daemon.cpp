@@ -102,7 +102,13 @@ void Daemon::add_node(std::size_t node) {
 
 void Daemon::add_robots() {
   std::size_t robot = 0;
-  for (auto& [name, open] : robot_inputs(config_)) {
+  auto links = robot_inputs(config_);
+  if (config_.ros2) {
+    links.emplace_back(Ros2::link_name(*config_.ros2), [this]() -> link::OpenedLink {
+      return {ros2_->make_link(), {}};
+    });
+  }
+  for (auto& [name, open] : links) {
     LinkInput::Setup setup;
     setup.name = std::move(name);
     setup.open = std::move(open);
@@ -142,6 +148,14 @@ link::LinkError Daemon::open_servers() {
   pose_server_ = stream.server.get();
   outputs_.push_back(std::move(stream.server));
   log_(fmt::format("pose stream on {} port {}", config_.pose_stream.address, pose_server_->port()));
+  if (config_.ros2) {
+    Ros2::Opened ros2 = Ros2::open(*config_.ros2, config_.tags);
+    if (!ros2.ros2) return ros2.error;
+    ros2_ = ros2.ros2.get();
+    outputs_.push_back(std::move(ros2.ros2));
+    log_(fmt::format("ROS 2 in domain {}, topics in /{}; DDS listens on all interfaces, without a password",
+                     config_.ros2->domain_id, config_.ros2->name_space));
+  }
   if (!config_.web) return {};
   WebServer::Opened web = WebServer::open(loop_, *config_.web);
   if (!web.server) return web.error;
@@ -226,6 +240,7 @@ void Daemon::adopt(model::Calibration calibration) {
     last_pose_->use(calibration);
   }
   mistakes_.use(calibration, config_.tags);
+  for (const auto& output : outputs_) output->on_calibration(calibration);
   pipeline_.adopt(std::move(calibration), start);
 }
 

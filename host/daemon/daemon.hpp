@@ -24,6 +24,7 @@
 #include "host/daemon/pose_message.hpp"
 #include "host/daemon/pose_server.hpp"
 #include "host/daemon/reload.hpp"
+#include "host/daemon/ros2.hpp"
 #include "host/daemon/service_manager.hpp"
 #include "host/daemon/site_calibrator.hpp"
 #include "host/daemon/web_server.hpp"
@@ -88,9 +89,10 @@ class Daemon {
   EventLoop loop_;
   Pipeline pipeline_;
   MistakeWatch mistakes_;
-  std::vector<std::unique_ptr<LinkInput>> inputs_;  // the nodes in their order, then the robot's
   std::vector<std::unique_ptr<Output>> outputs_;
-  PoseServer* pose_server_ = nullptr;  // one of them
+  PoseServer* pose_server_ = nullptr;               // one of them
+  Ros2* ros2_ = nullptr;                            // likewise
+  std::vector<std::unique_ptr<LinkInput>> inputs_;  // the nodes in their order, then the robot's
   std::unique_ptr<WebServer> web_server_;
   std::vector<std::unique_ptr<LogRecorder>> recorders_;
   std::optional<model::Calibration> known_;   // of the file, until open()

@@ -1,6 +1,7 @@
 #include "host/daemon/localizer.hpp"
 
 #include <algorithm>
+#include <cmath>
 #include <iterator>
 #include <limits>
 #include <memory>
@@ -137,6 +138,18 @@ void Localizer::on_pose_prior(const model::PoseSample& sample) {
   const model::PoseSample pose = in_own_time(sample);
   const auto prior = filter::start_from_prior(std::span(&pose, 1), pose.t_s, setup_.surface);
   if (prior) begin(*prior);
+}
+
+void Localizer::on_initial_pose(const model::PoseSample& sample) {
+  const model::PoseSample pose = in_own_time(sample);
+  auto start = filter::start_from_prior(std::span(&pose, 1), pose.t_s, setup_.surface);
+  if (!start) return;
+  if (pose.covariance) {
+    const Eigen::Matrix3d covariance = model::to_matrix(*pose.covariance);
+    start->position_sigma_m = std::sqrt(std::max(covariance(0, 0), covariance(1, 1)));
+    start->heading_sigma_rad = std::sqrt(covariance(2, 2));
+  }
+  begin(*start);
 }
 
 void Localizer::on_sensor(const model::SensorSample& sample) {

@@ -22,6 +22,7 @@
 #include "host/filter/filter.hpp"
 #include "host/filter/tracker.hpp"
 #include "host/model/calibration.hpp"
+#include "host/model/odom_frame.hpp"
 #include "host/model/pose.hpp"
 #include "host/model/state_archive.hpp"
 #include "host/model/surface.hpp"
@@ -46,6 +47,7 @@ struct PoseEstimate {
   // Of base_link in base_link: vx, vy (m/s) and yaw rate (rad/s); NaN is unknown.
   Eigen::Vector3d velocity = Eigen::Vector3d::Zero();
   Eigen::Matrix3d velocity_covariance = Eigen::Matrix3d::Zero();
+  std::optional<model::OdomPose> odom;  // at the same time; none: not known
   std::string_view floor;  // the chart's name, valid as long as the surface; empty if there is only one
   filter::State state = filter::State::kUninitialized;
   filter::Reason reason = filter::Reason::kNone;
@@ -95,6 +97,7 @@ class Localizer : public MeasurementSink {
   void on_odometry(const model::OdometrySample& sample) override;
   void on_range(const model::RangeSample& range) override;
   void on_pose_prior(const model::PoseSample& sample) override;
+  void on_initial_pose(const model::PoseSample& sample) override;
   void on_sensor(const model::SensorSample& sample) override;
   void on_odometry_ahead(const model::OdometrySample& sample) override;
   void on_sensor_ahead(const model::SensorSample& sample) override;

@@ -17,6 +17,8 @@ class MeasurementSink {
   virtual void on_odometry(const model::OdometrySample& sample) = 0;
   virtual void on_range(const model::RangeSample& range) = 0;
   virtual void on_pose_prior(const model::PoseSample& pose) = 0;
+  // Localization is to restart at this pose.
+  virtual void on_initial_pose(const model::PoseSample& /*pose*/) {}
   // Before on_range(): the range with its time as received, which on_range() has corrected by the
   // calibration's range_clock.
   virtual void on_uncorrected_range(const model::RangeSample& /*range*/) {}

@@ -4,6 +4,7 @@
 #include <string_view>
 
 #include "host/daemon/localizer.hpp"
+#include "host/model/calibration.hpp"
 
 namespace groma::daemon {
 
@@ -19,6 +20,8 @@ class Output {
   virtual void on_pose(const PoseEstimate& pose, std::string_view line) = 0;
   // Another line of the pose stream: STATUS, CALIBRATION.
   virtual void on_line(std::string_view line) = 0;
+  // The calibration in use from now on.
+  virtual void on_calibration(const model::Calibration& /*calibration*/) {}
 
  protected:
   Output() = default;

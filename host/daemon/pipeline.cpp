@@ -33,6 +33,7 @@ Pipeline::Pipeline(const Config& config, Log log, Localizer::OnPose on_pose, Loc
   for (const NodeLink& node : config.nodes) session_.add_node(node.path.string(), node.baud);
   node_reports_.resize(config.nodes.size());
   session_.attach(watch_);
+  session_.attach(odom_);
 }
 
 void Pipeline::take(Event event) {
@@ -101,8 +102,8 @@ void Pipeline::make_localizer(std::vector<model::Tag> tags, model::Calibration c
 
 void Pipeline::archive(model::StateArchive& state) {
   bool localizes = localizer_.has_value();
-  state(session_, frame_, adopted_, now_s_, pose_state_, last_pose_s_, logged_implausible_, has_finding_,
-        localizes);
+  state(session_, odom_, frame_, adopted_, now_s_, pose_state_, last_pose_s_, logged_implausible_,
+        has_finding_, localizes);
   if (!localizes) return;
   if (!localizer_) make_localizer(config_.tags, {});
   state(*localizer_);
@@ -113,7 +114,9 @@ void Pipeline::take_pose(const PoseEstimate& pose) {
   const bool changed = pose_state_ != state;
   pose_state_ = state;
   last_pose_s_ = now_s_;
-  on_pose_(pose);
+  PoseEstimate with_odom = pose;
+  with_odom.odom = odom_.at(pose.t_s, session_.odom_pose());
+  on_pose_(with_odom);
   if (!changed) return;
   const std::string_view reason = filter::reason_name(pose.reason);
   log_(fmt::format("state {}{}{}", filter::state_name(pose.state), reason.empty() ? "" : ": ", reason));

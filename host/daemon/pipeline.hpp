@@ -18,6 +18,7 @@
 #include "host/daemon/input_watch.hpp"
 #include "host/daemon/localizer.hpp"
 #include "host/daemon/log_doubling.hpp"
+#include "host/daemon/odom_watch.hpp"
 #include "host/daemon/pose_message.hpp"
 #include "host/daemon/session.hpp"
 #include "host/io/log_event.hpp"
@@ -120,6 +121,7 @@ class Pipeline {
   OnEvent on_event_;
   Session session_;
   InputWatch watch_;
+  OdomWatch odom_;
   std::vector<AnchorStatus> anchors_;  // of the calibration in use
   std::optional<Localizer> localizer_;
   std::string frame_ = "map";

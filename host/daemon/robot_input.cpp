@@ -51,6 +51,24 @@ bool read_covariance(const JsonView& object, std::optional<model::PoseCovariance
   return true;
 }
 
+// False if an odom pose is given but invalid.
+bool read_odom(const JsonView& object, double t_s, std::optional<model::OdomPose>& out) {
+  const auto member = object.find("odom");
+  if (!member || member->is_null()) return true;
+  std::array<double, 7> terms{};
+  if (!member->numbers(terms) ||
+      !std::all_of(terms.begin(), terms.end(), [](double term) { return std::isfinite(term); }))
+    return false;
+  model::OdomPose odom{.t_s = t_s};
+  odom.pose.position_m = {terms[0], terms[1], terms[2]};
+  odom.pose.quaternion = {terms[3], terms[4], terms[5], terms[6]};
+  constexpr double kMostError = 0.01;
+  if (std::abs(odom.pose.quaternion.norm() - 1.0) > kMostError) return false;
+  odom.pose.quaternion.normalize();
+  out = odom;
+  return true;
+}
+
 std::optional<RobotMessage> read_odometry(const JsonView& object) {
   model::OdometrySample sample;
   if (!read_number(object, "t_s", sample.t_s) || !read_number(object, "vx_mps", sample.vx_mps) ||
@@ -71,15 +89,18 @@ std::optional<RobotMessage> read_steering(const JsonView& object) {
   return sample;
 }
 
-// All keys except z_m.
-bool read_pose(const JsonView& object, model::PoseSample& out) {
+// All keys except z_m and t_s.
+bool read_place(const JsonView& object, model::PoseSample& out) {
   for (const auto& [key, value] : {std::pair{"roll_rad", &out.roll_rad}, {"pitch_rad", &out.pitch_rad}}) {
     const auto angle = object.find(key);
     if (angle && !angle->is_null() && !read_number(object, key, *value)) return false;
   }
-  return read_number(object, "t_s", out.t_s) && read_number(object, "x_m", out.x_m) &&
-         read_number(object, "y_m", out.y_m) && read_number(object, "yaw_rad", out.yaw_rad) &&
-         read_covariance(object, out.covariance);
+  return read_number(object, "x_m", out.x_m) && read_number(object, "y_m", out.y_m) &&
+         read_number(object, "yaw_rad", out.yaw_rad) && read_covariance(object, out.covariance);
+}
+
+bool read_pose(const JsonView& object, model::PoseSample& out) {
+  return read_number(object, "t_s", out.t_s) && read_place(object, out);
 }
 
 std::optional<RobotMessage> read_pose_prior(const JsonView& object) {
@@ -87,6 +108,15 @@ std::optional<RobotMessage> read_pose_prior(const JsonView& object) {
   if (!read_pose(object, pose) || !read_number(object, "z_m", pose.z_m) || !model::is_plausible(pose))
     return std::nullopt;
   return pose;
+}
+
+std::optional<RobotMessage> read_initial_pose(const JsonView& object) {
+  InitialPose initial;
+  const auto time = object.find("t_s");
+  initial.is_now = !time || time->is_null();
+  if (!initial.is_now && !read_number(object, "t_s", initial.pose.t_s)) return std::nullopt;
+  if (!read_place(object, initial.pose) || !model::is_plausible(initial.pose)) return std::nullopt;
+  return initial;
 }
 
 std::optional<RobotMessage> read_absolute_pose(const JsonView& object) {
@@ -130,12 +160,15 @@ struct MessageClass {
   std::optional<RobotMessage> (*read)(const JsonView& object);
 };
 
-constexpr std::array<MessageClass, 7> kClasses{{
-    {"ODOMETRY", "finite t_s, vx_mps, vy_mps, omega_radps", &RobotInputCounters::odometry, read_odometry},
+constexpr std::array<MessageClass, 8> kClasses{{
+    {"ODOMETRY", "finite t_s, vx_mps, vy_mps, omega_radps; if given, a valid odom of 7 terms",
+     &RobotInputCounters::odometry, read_odometry},
     {"STEERING", "finite t_s, speed_mps, and a steering_rad within 1.5", &RobotInputCounters::odometry,
      read_steering},
     {"POSE_PRIOR", "plausible t_s, x_m, y_m, z_m, yaw_rad; if given, a valid covariance of 36 terms",
      &RobotInputCounters::pose_priors, read_pose_prior},
+    {"INITIAL_POSE", "plausible x_m, y_m, yaw_rad; if given, a valid covariance of 36 terms",
+     &RobotInputCounters::pose_priors, read_initial_pose},
     {"IMU", "finite t_s, omega_radps", &RobotInputCounters::sensors, read_imu},
     {"GNSS", "plausible t_s, x_m, y_m, and a valid covariance of 4 terms", &RobotInputCounters::sensors,
      read_gnss},
@@ -209,6 +242,10 @@ std::optional<RobotMessage> RobotInput::parse(std::string_view line) {
     return std::nullopt;
   }
   std::optional<RobotMessage> message = known->read(*object);
+  if (message && std::holds_alternative<model::OdometrySample>(*message)) {
+    odom_.reset();
+    if (!read_odom(*object, std::get<model::OdometrySample>(*message).t_s, odom_)) message.reset();
+  }
   if (message) {
     ++(counters_.*known->counter);
   } else {

@@ -7,11 +7,15 @@
 //   {"class":"GNSS","t_s":12.0,"x_m":1.0,"y_m":2.0,"covariance":[1.0,0.0,0.0,1.0]}
 //   {"class":"ABSOLUTE_POSE","t_s":12.0,"x_m":1.0,"y_m":2.0,"yaw_rad":0.5,"covariance":[...]}
 //   {"class":"ZERO_VELOCITY","t_s":12.0}
+//   {"class":"INITIAL_POSE","x_m":1.0,"y_m":2.0,"yaw_rad":0.5}
 //
-// STEERING is the odometry of a car-like vehicle. A pose may have roll_rad and pitch_rad; yaw_rad is then the
-// ZYX yaw. It may have a covariance as in the pose stream: 36 numbers, row by row, of x, y, z, roll, pitch,
-// yaw; null is unknown. Only x, y and yaw are used. An absolute pose requires a covariance and needs no z_m.
-// The covariance of a GNSS position is that of x and y, row by row. Other keys are ignored.
+// STEERING is the odometry of a car-like vehicle. ODOMETRY may have "odom": base_link in the robot's frame
+// odom, as x, y, z and a quaternion x, y, z, w; transforms for ROS 2 are based on it. A POSE_PRIOR starts the
+// localization unless it has started; an INITIAL_POSE restarts it, now or at its t_s. A pose may have
+// roll_rad and pitch_rad; yaw_rad is then the ZYX yaw. It may have a covariance as in the pose stream: 36
+// numbers, row by row, of x, y, z, roll, pitch, yaw; null is unknown. Only x, y and yaw are used. An absolute
+// pose requires a covariance and needs no z_m. The covariance of a GNSS position is that of x and y, row by
+// row. Other keys are ignored.
 #pragma once
 
 #include <cstddef>
@@ -22,20 +26,27 @@
 #include <string_view>
 #include <variant>
 
+#include "host/model/odom_frame.hpp"
 #include "host/model/state_archive.hpp"
 #include "host/model/steering.hpp"
 #include "host/model/types.hpp"
 
 namespace groma::daemon {
 
+// A pose from which the localization restarts.
+struct InitialPose {
+  model::PoseSample pose;
+  bool is_now = false;  // without t_s: its time is that of its arrival
+};
+
 // A PoseSample is a pose prior; an absolute pose is a SensorSample.
-using RobotMessage =
-    std::variant<model::OdometrySample, model::SteeringSample, model::PoseSample, model::SensorSample>;
+using RobotMessage = std::variant<model::OdometrySample, model::SteeringSample, model::PoseSample,
+                                  model::SensorSample, InitialPose>;
 
 // Each line is counted in exactly one of these.
 struct RobotInputCounters {
-  std::uint64_t odometry = 0;  // and steering
-  std::uint64_t pose_priors = 0;
+  std::uint64_t odometry = 0;       // and steering
+  std::uint64_t pose_priors = 0;    // and initial poses
   std::uint64_t sensors = 0;        // the other classes
   std::uint64_t torn = 0;           // not a JSON object, or longer than kMaxLine bytes
   std::uint64_t unknown_class = 0;  // no "class", or an unknown one
@@ -58,10 +69,15 @@ class RobotInput {
   void push(std::span<const std::uint8_t> bytes);
   [[nodiscard]] std::optional<RobotMessage> next();
 
+  // What the last odometry sample of next() had as "odom", with the sample's time.
+  [[nodiscard]] const std::optional<model::OdomPose>& odom_pose() const noexcept { return odom_; }
+
   // Discards an incomplete line, after the link was reopened.
   void reset();
 
-  void archive(model::StateArchive& state) { state(waiting_, read_, too_long_, counters_, last_problem_); }
+  void archive(model::StateArchive& state) {
+    state(waiting_, read_, too_long_, odom_, counters_, last_problem_);
+  }
 
   [[nodiscard]] const RobotInputCounters& counters() const noexcept { return counters_; }
   // What was wrong with the last dropped line; empty if none was dropped.
@@ -74,6 +90,7 @@ class RobotInput {
   std::string waiting_;
   std::size_t read_ = 0;   // bytes of waiting_ already parsed
   bool too_long_ = false;  // the incomplete line is discarded up to its end
+  std::optional<model::OdomPose> odom_;
   RobotInputCounters counters_;
   std::string last_problem_;
 };

@@ -23,6 +23,9 @@ template <typename Sample>
 void shift_time(Sample& sample, double by_s) {
   sample.t_s += by_s;
 }
+void shift_time(InitialPose& initial, double by_s) {
+  initial.pose.t_s += by_s;
+}
 template <typename... Samples>
 void shift_time(std::variant<Samples...>& sample, double by_s) {
   std::visit([by_s](auto& of) { shift_time(of, by_s); }, sample);
@@ -88,6 +91,7 @@ void Session::robot_bytes(std::span<const std::uint8_t> bytes, double now_s, std
   RobotInput& input = robot_input(robot);
   input.push(bytes);
   while (const auto message = input.next()) {
+    if (std::holds_alternative<model::OdometrySample>(*message)) odom_ = input.odom_pose();
     std::visit([&](const auto& sample) { take(sample, now_s); }, *message);
   }
   const std::uint64_t dropped = robot_counters().dropped();
@@ -258,6 +262,12 @@ void Session::take(const model::PoseSample& pose, double now_s) {
   if (accepts(pose_times_, pose.t_s, now_s)) enqueue(pose.t_s, pose);
 }
 
+void Session::take(const InitialPose& initial, double now_s) {
+  InitialPose timed = initial;
+  if (initial.is_now) timed.pose.t_s = robot_time_s(now_s).value_or(0.0);
+  if (accepts(initial_times_, timed.pose.t_s, now_s)) enqueue(timed.pose.t_s, timed);
+}
+
 void Session::take(const model::SensorSample& sample, double now_s) {
   const double t_s = model::time_of(sample);
   // A zero-velocity sample may be of any time.
@@ -345,6 +355,10 @@ void Session::deliver(double t_s, const Sample& sample) {
                    ++counters_.sensors;
                    for (MeasurementSink* sink : sinks_) sink->on_sensor(of);
                  },
+                 [&](const InitialPose& initial) {
+                   ++counters_.pose_priors;
+                   for (MeasurementSink* sink : sinks_) sink->on_initial_pose(initial.pose);
+                 },
              },
              sample);
 }
@@ -384,6 +398,7 @@ void Session::clock_stepped() {
   if (passed_until_s_) *passed_until_s_ += step_s;
   if (last_odometry_s_ && !found_late) *last_odometry_s_ += step_s;
   pose_times_ = {};
+  initial_times_ = {};
   sensor_times_ = {};
 }
 
@@ -394,6 +409,7 @@ void Session::forget_times() {
   waiting_.clear();
   merger_.reset();
   pose_times_ = {};
+  initial_times_ = {};
   sensor_times_ = {};
 }
 

@@ -148,6 +148,8 @@ class Session {
   // Passes on all waiting measurements, at the end of a drive.
   void flush();
 
+  // What the newest odometry sample had as "odom"; none: it had none.
+  [[nodiscard]] const std::optional<model::OdomPose>& odom_pose() const noexcept { return odom_; }
   // Host time to robot time; nothing before the first odometry.
   [[nodiscard]] std::optional<double> robot_time_s(double host_s) const {
     return robot_clock_.robot_time_s(host_s);
@@ -170,21 +172,21 @@ class Session {
   // Of a session with the same nodes and configuration. Sinks are not part of it.
   void archive(model::StateArchive& state) {
     for (Node& node : nodes_) state(node);
-    state(robots_, robot_lines_dropped_, robot_clock_, range_clock_, merger_, last_odometry_s_, pose_times_,
-          sensor_times_, times_suspect_, timestamps_dropped_, dropped_since_s_, drop_reported_,
-          next_late_report_s_, waiting_, serial_, now_s_, passed_until_s_, counters_);
+    state(robots_, odom_, robot_lines_dropped_, robot_clock_, range_clock_, merger_, last_odometry_s_,
+          pose_times_, initial_times_, sensor_times_, times_suspect_, timestamps_dropped_, dropped_since_s_,
+          drop_reported_, next_late_report_s_, waiting_, serial_, now_s_, passed_until_s_, counters_);
   }
 
  private:
-  using Sample =
-      std::variant<model::OdometrySample, model::PoseSample, model::RangeSample, model::SensorSample>;
+  using Sample = std::variant<model::OdometrySample, model::PoseSample, model::RangeSample,
+                              model::SensorSample, InitialPose>;
   struct Waiting {
     double t_s = 0.0;
     std::uint64_t serial = 0;
     Sample sample;
   };
-  // Earliest first; at equal times odometry, then poses, then ranges by tag and anchor, then other sensors;
-  // then in the order of arrival.
+  // Earliest first; at equal times odometry, then poses, then ranges by tag and anchor, then other sensors,
+  // then initial poses; then in the order of arrival.
   struct Later {
     bool operator()(const Waiting& a, const Waiting& b) const noexcept;
   };
@@ -200,6 +202,7 @@ class Session {
   void take(const model::SteeringSample& sample, double now_s);
   void take(const model::PoseSample& pose, double now_s);
   void take(const model::SensorSample& sample, double now_s);
+  void take(const InitialPose& initial, double now_s);
   void take(model::RangeSample range);
   // Whether to take a pose or sensor sample of that time; counts the reason if not.
   [[nodiscard]] bool accepts(SensorTimes& times, double t_s, double now_s);
@@ -231,6 +234,7 @@ class Session {
   SessionConfig config_;
   std::deque<Node> nodes_;
   std::deque<RobotInput> robots_;
+  std::optional<model::OdomPose> odom_;
   LogDoubling robot_lines_dropped_;
   RobotClock robot_clock_;
   model::ClockError range_clock_;
@@ -246,6 +250,7 @@ class Session {
   Rate rate_;
   bool fast_reported_ = false;
   SensorTimes pose_times_;
+  SensorTimes initial_times_;
   std::array<SensorTimes, std::variant_size_v<model::SensorSample>> sensor_times_{};
   bool times_suspect_ = false;             // as reported to the sinks
   std::uint64_t timestamps_dropped_ = 0;   // of odometry

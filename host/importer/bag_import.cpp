@@ -7,19 +7,19 @@
 #include <stdexcept>
 #include <utility>
 
-#include "host/convert/ros2_message.hpp"
-#include "host/convert/ros2_schemas.hpp"
 #include "host/importer/bag.hpp"
 #include "host/importer/import.hpp"
 #include "host/io/error.hpp"
+#include "host/ros2/message.hpp"
+#include "host/ros2/schemas.hpp"
 
 namespace groma::importer {
 
 namespace {
 
-using convert::FieldPath;
-using convert::MessageDefinition;
-using convert::MessageValue;
+using ros2::FieldPath;
+using ros2::MessageDefinition;
+using ros2::MessageValue;
 
 // In place of a field: the time at which the message was recorded.
 constexpr std::string_view kLogTime = "@log_time";
@@ -233,7 +233,7 @@ class Program {
                           "give a recording of ROS 2, whose messages are cdr");
     std::string text = source.definition;
     if (text.empty() && topic.definition != nullptr) text = *topic.definition;
-    if (text.empty()) text = convert::ros2_schema(topic.type);
+    if (text.empty()) text = ros2::schema_of(topic.type);
     if (text.empty())
       throw io::DataError(
           {path}, fmt::format("the recording does not define the type {} of {}", topic.type, topic.name),

@@ -25,6 +25,12 @@ struct RigidPose {
   Eigen::Matrix3d rotation = Eigen::Matrix3d::Identity();
 };
 
+// The same with a unit quaternion: x, y, z, w.
+struct QuaternionPose {
+  Eigen::Vector3d position_m = Eigen::Vector3d::Zero();
+  Eigen::Vector4d quaternion{0.0, 0.0, 0.0, 1.0};
+};
+
 // R_WT: the smallest rotation that takes the world's z to the surface normal (-gx, -gy, 1)/norm.
 [[nodiscard]] Eigen::Matrix3d surface_rotation(const Eigen::Vector2d& gradient) noexcept;
 

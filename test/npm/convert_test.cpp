@@ -284,19 +284,32 @@ TEST_F(NpmConvert, Ros2HasThePosesThatReplayComputes) {
     EXPECT_EQ(odometry[i]["value"]["child_frame_id"], "base_link");
     EXPECT_EQ(odometry[i]["value"]["twist"]["twist"]["linear"]["x"],
               run_.odometry[run_.odometry.size() - rows.size() + i].vx_mps);
-    const json& transform = transforms[i]["value"]["transforms"][0];
-    EXPECT_EQ(transform["child_frame_id"], "base_link");
-    EXPECT_EQ(transform["transform"]["rotation"], pose["pose"]["orientation"]);
+    // Of the plane: map to odom and odom to base_link add up to the pose.
+    const json& map_to_odom = transforms[i]["value"]["transforms"][0];
+    const json& odom_to_base = transforms[i]["value"]["transforms"][1];
+    EXPECT_EQ(map_to_odom["child_frame_id"], "odom");
+    EXPECT_EQ(odom_to_base["child_frame_id"], "base_link");
+    const double odom_yaw_rad = yaw_of(map_to_odom["transform"]["rotation"]);
+    EXPECT_NEAR(std::remainder(odom_yaw_rad + yaw_of(odom_to_base["transform"]["rotation"]) - rows[i][3],
+                               2.0 * std::numbers::pi),
+                0.0, 1e-9);
+    const auto at = [](const json& transform, const char* axis) {
+      return transform["transform"]["translation"][axis].get<double>();
+    };
+    EXPECT_NEAR(at(map_to_odom, "x") + std::cos(odom_yaw_rad) * at(odom_to_base, "x") -
+                    std::sin(odom_yaw_rad) * at(odom_to_base, "y"),
+                rows[i][1], 1e-9);
   }
 }
 
 TEST_F(NpmConvert, Ros2HasAnchorsAndDiagnostics) {
   const json content = convert_and_read({"--ros2"});
   const json markers = only(content, "/groma/anchors")["markers"];
-  ASSERT_EQ(markers.size(), 2 * run_.surveyed_anchors.size());
-  EXPECT_EQ(markers[0]["pose"]["position"], json({{"x", -1.0}, {"y", -2.0}, {"z", 2.8}}));
-  EXPECT_EQ(markers[0]["id"], 4);
-  EXPECT_EQ(markers[1]["text"], "4 ok");
+  ASSERT_EQ(markers.size(), 2 * run_.surveyed_anchors.size() + 1);
+  EXPECT_EQ(markers[0]["action"], 3) << "removes those of an earlier message";
+  EXPECT_EQ(markers[1]["pose"]["position"], json({{"x", -1.0}, {"y", -2.0}, {"z", 2.8}}));
+  EXPECT_EQ(markers[1]["id"], 4);
+  EXPECT_EQ(markers[2]["text"], "4 ok");
   EXPECT_EQ(markers.back()["text"], "9 ok");
   EXPECT_THAT(content["channels"]["/groma/anchors"]["metadata"]["offered_qos_profiles"].get<std::string>(),
               HasSubstr("durability: 1"));

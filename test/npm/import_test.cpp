@@ -9,10 +9,10 @@
 
 #include <nlohmann/json.hpp>
 
-#include "host/convert/ros2_schemas.hpp"
 #include "host/io/calibration_file.hpp"
 #include "host/io/dataset.hpp"
 #include "host/model/pose.hpp"
+#include "host/ros2/schemas.hpp"
 #include "test/npm/node.hpp"
 #include "test/support/child_process.hpp"
 #include "test/support/scratch_folder.hpp"
@@ -68,7 +68,7 @@ class NpmImport : public test::NpmTest {
   NpmImport() {
     json topics = json::array();
     const auto topic = [&](const char* name, const std::string& type, std::string definition) -> json& {
-      if (definition.empty()) definition = convert::ros2_schema(type);
+      if (definition.empty()) definition = ros2::schema_of(type);
       topics.push_back(
           {{"name", name}, {"type", type}, {"definition", definition}, {"messages", json::array()}});
       return topics.back()["messages"];

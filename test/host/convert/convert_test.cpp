@@ -6,13 +6,12 @@
 #include <gtest/gtest.h>
 
 #include <cstdint>
+#include <initializer_list>
 #include <set>
 #include <string>
 #include <vector>
 
-#include "host/convert/cdr_writer.hpp"
 #include "host/convert/proto_writer.hpp"
-#include "host/convert/ros2_schemas.hpp"
 #include "test/support/mcap_reader.hpp"
 #include "test/support/small_run.hpp"
 
@@ -22,7 +21,6 @@ namespace {
 using test::McapFile;
 using test::McapMessage;
 using testing::HasSubstr;
-using testing::Not;
 using testing::UnorderedElementsAre;
 
 std::string bytes(std::initializer_list<int> values) {
@@ -39,28 +37,6 @@ TEST(ProtoWriter, EncodesEachKindOfField) {
   EXPECT_EQ(ProtoWriter().bytes(3, "ab").message(), bytes({0x1A, 2, 'a', 'b'}));
   const std::vector<double> one{1.0};
   EXPECT_EQ(ProtoWriter().numbers(4, one).message(), bytes({0x22, 8, 0, 0, 0, 0, 0, 0, 0xF0, 0x3F}));
-}
-
-TEST(CdrWriter, AlignsFromTheEndOfItsHeader) {
-  CdrWriter out;
-  out.put(true).put(std::uint16_t{0x0201}).put("a").put(1.0);
-  EXPECT_EQ(out.message(),
-            bytes({0, 1, 0, 0,                                 // little-endian CDR
-                   1, 0, 1, 2,                                 // bool, padding, uint16
-                   2, 0, 0, 0, 'a', 0, 0,    0,   0, 0, 0, 0,  // string with its zero; padding to 16
-                   0, 0, 0, 0, 0,   0, 0xF0, 0x3F}));
-}
-
-TEST(Ros2Schema, HasTheDefinitionsOfAllTypesThatItContains) {
-  const std::string schema = ros2_schema("nav_msgs/msg/Odometry");
-  EXPECT_THAT(schema, testing::StartsWith("std_msgs/Header header\nstring child_frame_id\n"));
-  const std::string line(80, '=');
-  for (const char* type : {"std_msgs/Header", "builtin_interfaces/Time", "geometry_msgs/Quaternion"}) {
-    const std::string head = line + "\nMSG: " + type + "\n";
-    EXPECT_THAT(schema, HasSubstr(head));
-    EXPECT_EQ(schema.find(head), schema.rfind(head)) << type << " once";
-  }
-  EXPECT_THAT(schema, Not(HasSubstr("Marker")));
 }
 
 // With the estimates of the filter.

@@ -37,6 +37,7 @@ gnss: {lever_arm_m: [0, 0, 1]}
 model: inflated
 pose_stream: {address: "::1", port: 4000}
 web: {port: 4001}
+ros2: {domain_id: 5, namespace: robot1/groma, publish_tf: true, graph: iron, tf_topic: /tf, odom_frame: odom, base_frame: base_link, odometry_topic: /odom, imu_topic: /imu, fix_topic: /fix, pose_topic: /slam_pose, initialpose: /initialpose, datum: [50.8, 12.9, 300]}
 log: drive.glog
 ring: {folder: kept, size_mib: 64}
 last_pose: last-pose.json
@@ -192,7 +193,8 @@ TEST_F(ConfigSchema, AndParserRefuseTheSameTypesAndBounds) {
       {"speed: 4", "speed: 0"},
       {"size_mib: 64", "size_mib: 15"},
       {"folder: kept, ", ""},
-      {"robot_socket: robot.sock\n", ""},
+      {"domain_id: 5", "domain_id: 233"},
+      {"graph: iron", "graph: jazzy"},
       {"robot_socket: robot.sock\n", "robot: {listen: {}}\n"},
       {"robot_socket: robot.sock\n", "robot: {}\n"},
       {"robot_socket: robot.sock\n", "robot: {can: can0, signals: {vx_mps: A.B, omega_radps: A.C}}\n"},
@@ -204,6 +206,11 @@ TEST_F(ConfigSchema, AndParserRefuseTheSameTypesAndBounds) {
     EXPECT_FALSE(schema_allows(with(from, to))) << to;
     EXPECT_EQ(problems_of(with(from, to)).size(), 1U) << to;
   }
+  std::string without_robot = with("robot_socket: robot.sock\n", "");
+  const std::size_t ros2 = without_robot.find("ros2:");
+  without_robot.erase(ros2, without_robot.find('\n', ros2) + 1 - ros2);
+  EXPECT_FALSE(schema_allows(without_robot));
+  EXPECT_EQ(problems_of(without_robot).size(), 1U);
 }
 
 TEST_F(ConfigSchema, AllowsTheOtherSurfaces) {

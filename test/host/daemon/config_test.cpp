@@ -168,6 +168,34 @@ TEST_F(ConfigFile, ReadsTheWebServer) {
   EXPECT_THAT(error_with("speed: 4", "web: {prot: 80}"), HasSubstr("prot"));
 }
 
+TEST_F(ConfigFile, ReadsRos2) {
+  Config config = read(std::string(kGood) + "ros2: {}\n");
+  ASSERT_TRUE(config.ros2);
+  EXPECT_EQ(config.ros2->domain_id, 0U);
+  EXPECT_EQ(config.ros2->name_space, "groma");
+  EXPECT_TRUE(config.ros2->publishes_tf);
+  EXPECT_EQ(config.ros2->odometry_topic, "") << "the robot's socket has it";
+  EXPECT_EQ(config.ros2->initialpose, "/initialpose");
+  EXPECT_EQ(config.robot_links(), 2U);
+  std::string alone = kGood;
+  const std::size_t at = alone.find("robot_socket");
+  alone.erase(at, alone.find('\n', at) + 1 - at);
+  config = read(alone +
+                "ros2: {domain_id: 7, graph: iron, publish_tf: false, datum: [1, 2, 3], fix_topic: /fix}\n");
+  EXPECT_EQ(config.ros2->odometry_topic, "/odom");
+  EXPECT_EQ(config.ros2->graph, Ros2Settings::Graph::kIron);
+  EXPECT_FALSE(config.ros2->publishes_tf);
+  EXPECT_EQ(config.ros2->datum->longitude_deg, 2.0);
+  EXPECT_EQ(config.robot_links(), 1U);
+  EXPECT_THAT(error_with("speed: 4", "ros2: {domain_id: 233}"), HasSubstr("ros2.domain_id"));
+  EXPECT_THAT(error_with("speed: 4", "ros2: {graph: jazzy}"), HasSubstr("ros2.graph"));
+  EXPECT_THAT(error_with("speed: 4", "ros2: {odometry_topic: odom}"), HasSubstr("is no name of a topic"));
+  EXPECT_THAT(error_with("speed: 4", "ros2: {namespace: /groma/}"), HasSubstr("without slashes at its ends"));
+  EXPECT_THAT(error_with("speed: 4", "ros2: {odom_frame: /odom}"), HasSubstr("without a slash in front"));
+  EXPECT_THAT(error_with("speed: 4", "ros2: {fix_topic: /fix}"), HasSubstr("needs 'datum'"));
+  EXPECT_THAT(error_with("speed: 4", "ros2: {datum: [91, 0, 0]}"), HasSubstr("is beyond the Earth"));
+}
+
 TEST_F(ConfigFile, NamesThePlaceOfEachMistake) {
   const std::string file = (folder_ / "gromad.yaml").string();
   EXPECT_THAT(error_with("speed: 4", "spede: 4"), HasSubstr(file + ":16:1: "));

@@ -55,6 +55,40 @@ TEST(RobotInput, ReadsBothClasses) {
   EXPECT_EQ(input.counters().dropped(), 0U);
 }
 
+TEST(RobotInput, ReadsThePoseInOdomBesideOdometry) {
+  RobotInput input;
+  const std::string head = R"({"class":"ODOMETRY","t_s":2,"vx_mps":0,"vy_mps":0,"omega_radps":0,"odom":)";
+  push(input, head + "[1,2,3,0,0,0.6,0.8]}\n");
+  ASSERT_EQ(take_all(input).size(), 1U);
+  ASSERT_TRUE(input.odom_pose());
+  EXPECT_EQ(input.odom_pose()->t_s, 2.0);
+  EXPECT_EQ(input.odom_pose()->pose.quaternion.z(), 0.6);
+  push(input, std::string(kOdometry) + "\n");
+  ASSERT_EQ(take_all(input).size(), 1U);
+  EXPECT_FALSE(input.odom_pose());
+  for (const char* wrong : {"[1,2,3,0,0,0,0]", "[1,2,3]", "[1,2,null,0,0,0,1]", "7"}) {
+    push(input, head + wrong + "}\n");
+    EXPECT_TRUE(take_all(input).empty()) << wrong;
+  }
+  EXPECT_EQ(input.counters().bad_value, 4U);
+}
+
+TEST(RobotInput, AnInitialPoseHoldsNowOrAtItsTime) {
+  RobotInput input;
+  push(input, R"({"class":"INITIAL_POSE","x_m":1,"y_m":2,"yaw_rad":0.5})"
+              "\n"
+              R"({"class":"INITIAL_POSE","t_s":4,"x_m":1,"y_m":2,"yaw_rad":0.5})"
+              "\n"
+              R"({"class":"INITIAL_POSE","t_s":"4","x_m":1,"y_m":2,"yaw_rad":0.5})"
+              "\n");
+  const auto messages = take_all(input);
+  ASSERT_EQ(messages.size(), 2U);
+  EXPECT_TRUE(std::get<InitialPose>(messages[0]).is_now);
+  EXPECT_FALSE(std::get<InitialPose>(messages[1]).is_now);
+  EXPECT_EQ(std::get<InitialPose>(messages[1]).pose.t_s, 4.0);
+  EXPECT_EQ(input.counters().bad_value, 1U);
+}
+
 // A covariance as in the pose stream: 6 x 6, of which the terms of x, y and yaw are used.
 std::string pose_with(const std::string& covariance) {
   return R"({"class":"POSE_PRIOR","t_s":2,"x_m":1,"y_m":2,"z_m":3,"yaw_rad":0.5,"covariance":)" + covariance +

@@ -568,13 +568,13 @@ TEST_F(Import, SurvivesRandomBytes) {
 }
 
 TEST(Export, ADatumPutsTheMapOnTheEarth) {
-  const convert::Datum datum{50.8, 12.9, 300.0};
-  const Eigen::Vector3d origin = convert::geographic(Eigen::Vector3d::Zero(), datum);
+  const model::Datum datum{50.8, 12.9, 300.0};
+  const Eigen::Vector3d origin = model::geographic(Eigen::Vector3d::Zero(), datum);
   EXPECT_NEAR(origin.x(), 12.9, 1e-12);
   EXPECT_NEAR(origin.y(), 50.8, 1e-12);
   EXPECT_NEAR(origin.z(), 300.0, 1e-6);
   // Radii of curvature of WGS84 at 50.8 degrees: 6390986 m across the meridian, 6374002 m along it.
-  const Eigen::Vector3d place = convert::geographic({100.0, 50.0, 2.0}, datum);
+  const Eigen::Vector3d place = model::geographic({100.0, 50.0, 2.0}, datum);
   EXPECT_NEAR(
       (place.x() - 12.9) * std::numbers::pi / 180.0 * 6391286.0 * std::cos(50.8 * std::numbers::pi / 180.0),
       100.0, 0.02);

@@ -1,4 +1,4 @@
-#include "host/convert/ros2_message.hpp"
+#include "host/ros2/message.hpp"
 
 #include <fmt/format.h>
 
@@ -12,9 +12,9 @@
 #include <type_traits>
 #include <utility>
 
-#include "host/convert/ros2_schemas.hpp"
+#include "host/ros2/schemas.hpp"
 
-namespace groma::convert {
+namespace groma::ros2 {
 
 namespace {
 
@@ -269,7 +269,7 @@ void MessageDefinition::parse(std::string_view type, std::string_view text) {
     std::optional<MessageField> field = parse_field(line, package);
     if (!field) continue;
     if (!is_primitive(field->type) && !types_.contains(field->type)) {
-      const std::string known = ros2_schema(field->type);
+      const std::string known = schema_of(field->type);
       // The text's own definition, further down, replaces it.
       if (!known.empty() && text.find(fmt::format("MSG: {}", field->type)) == std::string_view::npos)
         parse(field->type, known);
@@ -364,4 +364,4 @@ std::vector<const MessageValue*> values_at(const MessageValue& message, const Fi
   return out;
 }
 
-}  // namespace groma::convert
+}  // namespace groma::ros2

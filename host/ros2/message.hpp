@@ -1,5 +1,5 @@
 // Reads messages of ROS 2 (CDR) by the definition of their type: fields in the syntax of .msg files, as
-// ros2_schemas.hpp and MCAP files (ros2msg) have it.
+// schemas.hpp and MCAP files (ros2msg) have it.
 #pragma once
 
 #include <cstddef>
@@ -12,7 +12,7 @@
 #include <variant>
 #include <vector>
 
-namespace groma::convert {
+namespace groma::ros2 {
 
 struct MessageField {
   enum class Count { kOne, kFixed, kSequence };
@@ -55,7 +55,7 @@ class FieldPath {
 class MessageDefinition {
  public:
   // type: such as "nav_msgs/msg/Odometry". text: its fields, then the types that it contains, each after a
-  // line of "=" and a line "MSG: package/Name"; types that the text lacks are those of ros2_schemas.hpp.
+  // line of "=" and a line "MSG: package/Name"; types that the text lacks are those of schemas.hpp.
   // Throws std::invalid_argument with the problem.
   MessageDefinition(std::string_view type, std::string_view text);
 
@@ -83,4 +83,4 @@ class MessageDefinition {
 // The field of this name; null if there is none.
 [[nodiscard]] const MessageValue* field_of(const MessageValue& message, std::string_view name);
 
-}  // namespace groma::convert
+}  // namespace groma::ros2

@@ -1,18 +1,20 @@
-#include "host/convert/ros2_message.hpp"
+#include "host/ros2/message.hpp"
 
 #include <fmt/format.h>
+#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <initializer_list>
 #include <stdexcept>
 #include <string>
 #include <variant>
 #include <vector>
 
-#include "host/convert/cdr_writer.hpp"
-#include "host/convert/ros2_schemas.hpp"
+#include "host/ros2/cdr_writer.hpp"
+#include "host/ros2/schemas.hpp"
 #include "test/support/random.hpp"
 
-namespace groma::convert {
+namespace groma::ros2 {
 namespace {
 
 // Every kind of field, a contained type, a constant, a default and comments.
@@ -150,7 +152,7 @@ TEST(Ros2Message, ReadsEachTypeThatConvertWrites) {
   for (const char* type : {"nav_msgs/msg/Odometry", "sensor_msgs/msg/Imu", "groma_msgs/msg/Ranges",
                            "geometry_msgs/msg/PoseWithCovarianceStamped", "tf2_msgs/msg/TFMessage",
                            "visualization_msgs/msg/MarkerArray", "diagnostic_msgs/msg/DiagnosticArray"})
-    EXPECT_NO_THROW(MessageDefinition(type, ros2_schema(type))) << type;
+    EXPECT_NO_THROW(MessageDefinition(type, schema_of(type))) << type;
 }
 
 TEST(Ros2Message, SurvivesRandomBytesAndDefinitions) {
@@ -176,5 +178,32 @@ TEST(Ros2Message, SurvivesRandomBytesAndDefinitions) {
   }
 }
 
+TEST(CdrWriter, AlignsFromTheEndOfItsHeader) {
+  const auto bytes = [](std::initializer_list<int> values) {
+    std::string all;
+    for (const int value : values) all += static_cast<char>(value);
+    return all;
+  };
+  CdrWriter out;
+  out.put(true).put(std::uint16_t{0x0201}).put("a").put(1.0);
+  EXPECT_EQ(out.message(),
+            bytes({0, 1, 0, 0,                                 // little-endian CDR
+                   1, 0, 1, 2,                                 // bool, padding, uint16
+                   2, 0, 0, 0, 'a', 0, 0,    0,   0, 0, 0, 0,  // string with its zero; padding to 16
+                   0, 0, 0, 0, 0,   0, 0xF0, 0x3F}));
+}
+
+TEST(Ros2Schema, HasTheDefinitionsOfAllTypesThatItContains) {
+  const std::string schema = schema_of("nav_msgs/msg/Odometry");
+  EXPECT_THAT(schema, testing::StartsWith("std_msgs/Header header\nstring child_frame_id\n"));
+  const std::string line(80, '=');
+  for (const char* type : {"std_msgs/Header", "builtin_interfaces/Time", "geometry_msgs/Quaternion"}) {
+    const std::string head = line + "\nMSG: " + type + "\n";
+    EXPECT_THAT(schema, testing::HasSubstr(head));
+    EXPECT_EQ(schema.find(head), schema.rfind(head)) << type << " once";
+  }
+  EXPECT_THAT(schema, testing::Not(testing::HasSubstr("Marker")));
+}
+
 }  // namespace
-}  // namespace groma::convert
+}  // namespace groma::ros2

@@ -10,7 +10,7 @@
 
 #include "host/mcap/bytes.hpp"
 
-namespace groma::convert {
+namespace groma::ros2 {
 
 class CdrWriter {
  public:
@@ -46,4 +46,4 @@ class CdrWriter {
   std::string bytes_;
 };
 
-}  // namespace groma::convert
+}  // namespace groma::ros2

@@ -1,11 +1,11 @@
 // Fields as in github.com/ros2/common_interfaces, rcl_interfaces and geometry2; the same from Humble on.
-#include "host/convert/ros2_schemas.hpp"
+#include "host/ros2/schemas.hpp"
 
 #include <algorithm>
 #include <array>
 #include <vector>
 
-namespace groma::convert {
+namespace groma::ros2 {
 
 namespace {
 
@@ -45,7 +45,18 @@ constexpr std::array kDefinitions{
                "float64[9] orientation_covariance\ngeometry_msgs/Vector3 angular_velocity\n"
                "float64[9] angular_velocity_covariance\ngeometry_msgs/Vector3 linear_acceleration\n"
                "float64[9] linear_acceleration_covariance\n"},
+    Definition{"sensor_msgs/NavSatStatus", "int8 status\nuint16 service\n"},
+    Definition{
+        "sensor_msgs/NavSatFix",
+        "std_msgs/Header header\nsensor_msgs/NavSatStatus status\nfloat64 latitude\nfloat64 longitude\n"
+        "float64 altitude\nfloat64[9] position_covariance\nuint8 position_covariance_type\n"},
     Definition{"sensor_msgs/CompressedImage", "std_msgs/Header header\nstring format\nuint8[] data\n"},
+    Definition{"rmw_dds_common/Gid", "uint8[16] data\n"},
+    Definition{"rmw_dds_common/NodeEntitiesInfo",
+               "string<=256 node_namespace\nstring<=256 node_name\nrmw_dds_common/Gid[] reader_gid_seq\n"
+               "rmw_dds_common/Gid[] writer_gid_seq\n"},
+    Definition{"rmw_dds_common/ParticipantEntitiesInfo",
+               "rmw_dds_common/Gid gid\nrmw_dds_common/NodeEntitiesInfo[] node_entities_info_seq\n"},
     Definition{"diagnostic_msgs/KeyValue", "string key\nstring value\n"},
     Definition{"diagnostic_msgs/DiagnosticStatus",
                "byte level\nstring name\nstring message\nstring hardware_id\n"
@@ -94,7 +105,7 @@ void add_contained(std::string_view fields, std::vector<std::string_view>& types
 
 }  // namespace
 
-std::string ros2_schema(std::string_view type) {
+std::string schema_of(std::string_view type) {
   std::string name(type);
   if (const std::size_t at = name.find("/msg/"); at != std::string::npos) name.replace(at, 5, "/");
   const std::string_view fields = fields_of(name);
@@ -110,4 +121,4 @@ std::string ros2_schema(std::string_view type) {
   return schema;
 }
 
-}  // namespace groma::convert
+}  // namespace groma::ros2

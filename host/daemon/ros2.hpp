@@ -1,0 +1,44 @@
+// ROS 2: the poses as topics, and what the robot publishes as one of its links.
+#pragma once
+
+#include <memory>
+#include <span>
+#include <string>
+#include <string_view>
+
+#include "host/daemon/output.hpp"
+#include "host/daemon/ros2_settings.hpp"
+#include "host/link/reconnecting_link.hpp"
+#include "host/model/types.hpp"
+
+namespace groma::daemon {
+
+class Ros2 : public Output {
+ public:
+  // Poses that may wait for the node's thread; further ones are left out.
+  static constexpr std::size_t kMaxPoses = 256;
+
+  struct Opened {
+    std::unique_ptr<Ros2> ros2;
+    link::LinkError error;  // also if gromad was built without ROS 2
+  };
+  [[nodiscard]] static Opened open(const Ros2Settings& settings, std::span<const model::Tag> tags);
+  ~Ros2() override;
+
+  // "ros2:DOMAIN", the name of the link.
+  [[nodiscard]] static std::string link_name(const Ros2Settings& settings);
+  // The link of the robot's messages: lines of robot_input.hpp. Valid as long as this.
+  [[nodiscard]] std::unique_ptr<link::ByteLink> make_link();
+
+  // Without the heap.
+  void on_pose(const PoseEstimate& pose, std::string_view line) override;
+  void on_line(std::string_view line) override;
+  void on_calibration(const model::Calibration& calibration) override;
+
+ private:
+  class State;
+  explicit Ros2(std::unique_ptr<State> state);
+  std::unique_ptr<State> state_;
+};
+
+}  // namespace groma::daemon
