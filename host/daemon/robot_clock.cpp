@@ -2,7 +2,9 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <cmath>
+#include <utility>
 
 namespace groma::daemon {
 namespace {
@@ -87,6 +89,7 @@ Timestamp RobotClock::judge(double t_s, double now_s) noexcept {
     return Timestamp::kGood;
   }
   const double offset_s = t_s - *expected_s;
+  if (shows_step(t_s, now_s, offset_s)) return step(t_s, now_s, offset_s);
   if (std::abs(offset_s) > config_.max_error_s) return judge_far(t_s, now_s, offset_s);
   far_ = {};
 
@@ -112,12 +115,32 @@ Timestamp RobotClock::judge(double t_s, double now_s) noexcept {
   return Timestamp::kGood;
 }
 
+bool RobotClock::shows_step(double t_s, double now_s, double offset_s) noexcept {
+  const double since_s = now_s - std::exchange(arrived_s_, now_s);
+  jitter_s_ *= std::exp(-std::max(since_s, 0.0) / kForget_s);
+  const bool is_good = offset_s >= -config_.max_error_s && offset_s <= kSlack_s && !(last_s_ && t_s <= *last_s_);
+  if (is_good) jitter_s_ = std::max(jitter_s_, -offset_s);
+  if (is_good || std::abs(offset_s) <= kSlack_s + jitter_s_) {
+    step_run_ = {};
+    return false;
+  }
+  const bool agrees = step_run_.samples > 0 && std::abs(offset_s - step_run_.offset_s) <= kAgree_s &&
+                      t_s > step_run_.last_s;
+  if (!agrees) step_run_ = {.offset_s = offset_s, .is_steady = since_s <= kLongestPause_s};
+  ++step_run_.samples;
+  step_run_.last_s = t_s;
+  return step_run_.samples >= kStepRun && step_run_.is_steady;
+}
+
 void RobotClock::begin(double t_s, double now_s) noexcept {
   mapper_.reset();
   mapper_.observe(ticks_at(t_s), now_s, 0.0);
   last_s_ = t_s;
   run_ = {};
   far_ = {};
+  step_run_ = {};
+  arrived_s_ = now_s;
+  jitter_s_ = 0.0;
   early_ = 0;
   late_alike_ = 0;
   on_time_s_ = now_s;
@@ -168,7 +191,7 @@ Timestamp RobotClock::judge_fallen_back(double t_s, double now_s, double offset_
 Timestamp RobotClock::step(double t_s, double now_s, double by_s) noexcept {
   step_s_ = by_s;
   // Otherwise a run of dropped samples has shown the step.
-  step_found_late_ = by_s < 0.0 && run_.alike < kRun;
+  step_found_late_ = by_s < 0.0 && run_.alike < kRun && step_run_.samples < kStepRun;
   fault_ = {TimestampFault::Cause::kClockOffset, by_s, now_s};
   begin(t_s, now_s);
   return Timestamp::kStepped;

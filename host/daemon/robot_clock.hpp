@@ -3,7 +3,8 @@
 //
 // The link is a FIFO that delays: it makes a sample late, never early, and keeps the order. So the link
 // does not explain a timestamp that is early or falls back. A single such timestamp is wrong. A run of them
-// with the same offset, without a fitting sample between them, shows that the clock was set.
+// with the same offset, without a fitting sample between them, shows that the clock was set. kStepRun are
+// enough while samples keep coming; after a pause the robot may have restarted elsewhere.
 #pragma once
 
 #include <cstdint>
@@ -28,8 +29,8 @@ enum class Timestamp : std::uint8_t {
   kEarly,       // ahead of the clock: drop the sample
   kFallenBack,  // not newer than a good one before, or in a run that fell back: drop the sample
   kWrong,       // off by more than max_error_s: drop the sample
-  kStepped,     // the clock was set by step_s(), at most max_error_s; this is the first sample after it
-  kSet,         // the clock was set by more, or the robot restarted
+  kStepped,     // the clock was set by step_s() while the robot went on; waiting() samples before fit it too
+  kSet,         // the clock was set, or the robot restarted
 };
 
 // A fault of the robot's timestamps; causes as in a diagnosis.
@@ -52,6 +53,9 @@ class RobotClock {
  public:
   // A t_s that is ahead by at most this is accepted without moving the clock: software timestamps jitter.
   static constexpr double kSlack_s = 0.06;
+  static constexpr std::uint32_t kStepRun = 3;  // if they are off by more than the link's jitter and kSlack_s
+  static constexpr double kLongestPause_s = 0.5;  // in arrivals
+  static constexpr double kForget_s = 10.0;
   static constexpr std::uint32_t kRun = clock::TimeMapper::kJumpMessages;
   static constexpr std::uint32_t kSuspectRun = 3;  // misfitting samples that raise suspicion
   static constexpr double kConsistent_s =
@@ -70,6 +74,8 @@ class RobotClock {
   // Host time to robot time; nothing before the first sample.
   [[nodiscard]] std::optional<double> robot_time_s(double host_s) const noexcept;
 
+  // Samples that were judged as wrong, and that the next ones may show to be of a clock that was set.
+  [[nodiscard]] std::uint32_t waiting() const noexcept { return step_run_.samples; }
   // After kStepped: the new clock less the old one.
   [[nodiscard]] double step_s() const noexcept { return step_s_; }
   // After kStepped: whether samples of the new clock had been taken as good before the step was found.
@@ -96,7 +102,17 @@ class RobotClock {
     double since_s = 0.0;
   };
 
+  // The last samples, whose offsets agree and do not fit the clock.
+  struct StepRun {
+    std::uint32_t samples = 0;
+    double offset_s = 0.0;  // of the first
+    double last_s = 0.0;    // t_s
+    bool is_steady = false;  // without a pause before the first
+  };
+
   void begin(double t_s, double now_s) noexcept;
+  // Whether the sample completes a run that shows a clock step.
+  [[nodiscard]] bool shows_step(double t_s, double now_s, double offset_s) noexcept;
   Timestamp judge_far(double t_s, double now_s, double offset_s) noexcept;
   Timestamp judge_fallen_back(double t_s, double now_s, double offset_s) noexcept;
   Timestamp step(double t_s, double now_s, double by_s) noexcept;
@@ -107,6 +123,9 @@ class RobotClock {
   std::optional<double> last_s_;  // robot time of the newest sample that fits the clock
   Run run_;
   Far far_;
+  StepRun step_run_;
+  double arrived_s_ = 0.0;  // host time of the last sample
+  double jitter_s_ = 0.0;   // the largest delay of good samples, forgotten within kForget_s
   std::uint32_t early_ = 0;       // in a row
   std::uint32_t late_alike_ = 0;  // in a row
   double late_by_s_ = 0.0;

@@ -64,6 +64,7 @@ Session::Session(SessionConfig config)
       robot_clock_({.max_error_s = config_.max_clock_error_s, .set_after_s = config_.clock_set_after_s}) {
   // One more than wait, and the two that the merger holds at a clock step.
   waiting_.reserve(config_.max_waiting + 3);
+  suspended_.reserve(2 * kMaxSuspended);
 }
 
 std::size_t Session::add_node(std::string name, unsigned baud) {
@@ -130,6 +131,7 @@ void Session::advance(double now_s) {
 }
 
 void Session::flush() {
+  drop_suspended(/*only_odometry=*/false);
   pass_merged(merger_.flush());
   while (!waiting_.empty()) {
     const double t_s = waiting_.front().t_s;
@@ -166,11 +168,21 @@ bool Session::Later::operator()(const Waiting& a, const Waiting& b) const noexce
 void Session::take(const model::OdometrySample& odometry, double now_s) {
   const Timestamp timestamp = robot_clock_.judge(odometry.t_s, now_s);
   if (timestamp == Timestamp::kSet) clock_was_set(now_s);
-  if (timestamp == Timestamp::kStepped) clock_stepped();
+  if (timestamp == Timestamp::kStepped) {
+    clock_stepped();
+    use_suspended(now_s);
+  }
   report_suspect_times();
-  if (timestamp == Timestamp::kWrong) return drop_odometry(counters_.robot_time_wrong, now_s);
-  if (timestamp == Timestamp::kEarly) return drop_odometry(counters_.robot_time_early, now_s);
-  if (timestamp == Timestamp::kFallenBack) return drop_odometry(counters_.odometry_out_of_order, now_s);
+  const bool fits = timestamp == Timestamp::kGood || timestamp == Timestamp::kStepped || timestamp == Timestamp::kSet;
+  // A sample that does not fit as the one before did was wrong alone.
+  if (fits || robot_clock_.waiting() <= 1) drop_suspended(/*only_odometry=*/!fits);
+  if (fits) return use(odometry, now_s);
+  const Suspended sample{odometry, timestamp, now_s};
+  if (robot_clock_.waiting() > 0 && robot_clock_.waiting() < RobotClock::kStepRun) return suspend(sample);
+  drop(sample);
+}
+
+void Session::use(const model::OdometrySample& odometry, double now_s) {
   if (last_odometry_s_ && odometry.t_s <= *last_odometry_s_) {
     ++counters_.odometry_out_of_order;
     return;
@@ -180,6 +192,44 @@ void Session::take(const model::OdometrySample& odometry, double now_s) {
   const std::span<const model::OdometrySample> merged = merger_.take(odometry);
   pass_merged(merged);
   report_fast_odometry(now_s);
+}
+
+void Session::suspend(const Suspended& sample) {
+  if (suspended_.size() == kMaxSuspended) return drop(sample);
+  suspended_.push_back(sample);
+}
+
+void Session::drop(const Suspended& sample) {
+  if (std::holds_alternative<model::OdometrySample>(sample.sample)) {
+    if (sample.timestamp == Timestamp::kWrong) return drop_odometry(counters_.robot_time_wrong, sample.arrived_s);
+    if (sample.timestamp == Timestamp::kEarly) return drop_odometry(counters_.robot_time_early, sample.arrived_s);
+    return drop_odometry(counters_.odometry_out_of_order, sample.arrived_s);
+  }
+  if (sample.timestamp == Timestamp::kWrong) ++counters_.robot_time_wrong;
+  if (sample.timestamp == Timestamp::kEarly) ++counters_.robot_time_early;
+  if (sample.timestamp == Timestamp::kFallenBack) ++counters_.sensors_out_of_order;
+}
+
+void Session::use_suspended(double now_s) {
+  // A sample that does not fit even now is suspended again.
+  const std::size_t count = suspended_.size();
+  for (std::size_t i = 0; i < count; ++i) {
+    const Suspended one = suspended_[i];
+    std::visit(Overloaded{[&](const model::OdometrySample& odometry) { use(odometry, now_s); },
+                          [&](const auto& sample) { take(sample, one.arrived_s); }},
+               one.sample);
+  }
+  suspended_.erase(suspended_.begin(), suspended_.begin() + static_cast<std::ptrdiff_t>(count));
+}
+
+void Session::drop_suspended(bool only_odometry) {
+  const auto ends = [only_odometry](const Suspended& one) {
+    return !only_odometry || std::holds_alternative<model::OdometrySample>(one.sample);
+  };
+  for (const Suspended& one : suspended_) {
+    if (ends(one)) drop(one);
+  }
+  std::erase_if(suspended_, ends);
 }
 
 void Session::pass_merged(std::span<const model::OdometrySample> samples) {
@@ -213,7 +263,7 @@ void Session::drop_odometry(std::uint64_t& counter, double now_s) {
   }
   const auto fault = timestamp_fault(now_s);
   // A repeated sample is dropped without a fault of the clock.
-  if (!fault || fault->last_s != now_s) return;
+  if (!fault || fault->last_s < now_s) return;
   const std::uint64_t before = timestamps_dropped_++;
   const bool all = odometry_dropped_for_s(now_s) >= kDropReported_s && !drop_reported_;
   if (!all && std::bit_width(before) == std::bit_width(timestamps_dropped_)) return;
@@ -224,30 +274,29 @@ void Session::drop_odometry(std::uint64_t& counter, double now_s) {
   say(fmt::format("robot: {}: {}: {}; {}", what, cause_name(fault->cause), evidence(*fault), remedy(*fault)));
 }
 
-bool Session::accepts(SensorTimes& times, double t_s, double now_s) {
-  const auto robot_now_s = robot_time_s(now_s);
-  if (!robot_now_s) {
-    ++counters_.without_odometry;
-    return false;
-  }
-  const double offset_s = t_s - *robot_now_s;
-  if (offset_s > config_.max_clock_error_s) {
-    ++counters_.robot_time_wrong;
-    return false;
-  }
-  if (offset_s > RobotClock::kSlack_s) {
-    ++counters_.robot_time_early;
-    return false;
-  }
+Timestamp Session::judge(SensorTimes& times, double t_s, double now_s) {
+  const double robot_now_s = *robot_time_s(now_s);
+  const double offset_s = t_s - robot_now_s;
+  if (offset_s > config_.max_clock_error_s) return Timestamp::kWrong;
+  if (offset_s > RobotClock::kSlack_s) return Timestamp::kEarly;
   // As for odometry: a message that falls back is wrong, and so are the following ones that are as late.
   const bool falls_back = times.last_s && t_s <= *times.last_s;
   if (falls_back) times.offset_s = offset_s;
-  if (times.offset_s && std::abs(offset_s - *times.offset_s) <= RobotClock::kConsistent_s) {
-    ++counters_.sensors_out_of_order;
-    return false;
+  if (times.offset_s && std::abs(offset_s - *times.offset_s) <= RobotClock::kConsistent_s)
+    return Timestamp::kFallenBack;
+  times = {.last_s = std::min(t_s, robot_now_s), .offset_s = std::nullopt};
+  return Timestamp::kGood;
+}
+
+template <typename Sample>
+void Session::take_timed(SensorTimes& times, double t_s, const Sample& sample, double now_s) {
+  if (!robot_time_s(now_s)) {
+    ++counters_.without_odometry;
+    return;
   }
-  times = {.last_s = std::min(t_s, *robot_now_s), .offset_s = std::nullopt};
-  return true;
+  const Timestamp timestamp = judge(times, t_s, now_s);
+  if (timestamp == Timestamp::kGood) return enqueue(t_s, sample);
+  suspend({sample, timestamp, now_s});
 }
 
 void Session::take(const model::SteeringSample& sample, double now_s) {
@@ -259,13 +308,13 @@ void Session::take(const model::SteeringSample& sample, double now_s) {
 }
 
 void Session::take(const model::PoseSample& pose, double now_s) {
-  if (accepts(pose_times_, pose.t_s, now_s)) enqueue(pose.t_s, pose);
+  take_timed(pose_times_, pose.t_s, pose, now_s);
 }
 
 void Session::take(const InitialPose& initial, double now_s) {
   InitialPose timed = initial;
   if (initial.is_now) timed.pose.t_s = robot_time_s(now_s).value_or(0.0);
-  if (accepts(initial_times_, timed.pose.t_s, now_s)) enqueue(timed.pose.t_s, timed);
+  take_timed(initial_times_, timed.pose.t_s, timed, now_s);
 }
 
 void Session::take(const model::SensorSample& sample, double now_s) {
@@ -273,7 +322,7 @@ void Session::take(const model::SensorSample& sample, double now_s) {
   // A zero-velocity sample may be of any time.
   SensorTimes any;
   const bool stationary = std::holds_alternative<model::ZeroVelocitySample>(sample);
-  if (accepts(stationary ? any : sensor_times_.at(sample.index()), t_s, now_s)) enqueue(t_s, sample);
+  take_timed(stationary ? any : sensor_times_.at(sample.index()), t_s, sample, now_s);
 }
 
 void Session::take(model::RangeSample range) {
@@ -405,6 +454,7 @@ void Session::clock_stepped() {
 void Session::forget_times() {
   ++counters_.robot_clock_set;
   last_odometry_s_.reset();
+  suspended_.clear();
   passed_until_s_.reset();
   waiting_.clear();
   merger_.reset();

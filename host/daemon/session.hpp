@@ -197,6 +197,14 @@ class Session {
     std::optional<double> offset_s;  // of the last message that fell back
   };
 
+  // A sample whose time does not fit the robot's clock, until the next ones show whether the clock was set.
+  struct Suspended {
+    std::variant<model::OdometrySample, model::PoseSample, model::SensorSample, InitialPose> sample;
+    Timestamp timestamp = Timestamp::kWrong;
+    double arrived_s = 0.0;  // host time
+  };
+  static constexpr std::size_t kMaxSuspended = 64;
+
   [[nodiscard]] RobotInput& robot_input(std::size_t robot);
   void take(const model::OdometrySample& odometry, double now_s);
   void take(const model::SteeringSample& sample, double now_s);
@@ -204,8 +212,18 @@ class Session {
   void take(const model::SensorSample& sample, double now_s);
   void take(const InitialPose& initial, double now_s);
   void take(model::RangeSample range);
-  // Whether to take a pose or sensor sample of that time; counts the reason if not.
-  [[nodiscard]] bool accepts(SensorTimes& times, double t_s, double now_s);
+  // kGood, kWrong, kEarly or kFallenBack: how the time of a pose or sensor sample fits. Requires a known robot
+  // time.
+  [[nodiscard]] Timestamp judge(SensorTimes& times, double t_s, double now_s);
+  template <typename Sample>
+  void take_timed(SensorTimes& times, double t_s, const Sample& sample, double now_s);
+  void use(const model::OdometrySample& odometry, double now_s);
+  void suspend(const Suspended& sample);
+  void drop(const Suspended& sample);
+  // The clock was set: the suspended samples are of the new clock.
+  void use_suspended(double now_s);
+  // It was not: they are wrong. Only those of odometry, or all.
+  void drop_suspended(bool only_odometry);
   // How late the clock of ranges is at a time of the robot, s; 0 beyond kMaxRangeClock_s.
   [[nodiscard]] double ranges_late_s(double t_s) const noexcept;
   // How much longer than configured measurements wait, for ranges that are late.
@@ -241,6 +259,7 @@ class Session {
   bool range_clock_refused_ = false;
   OdometryMerger merger_;
   std::optional<double> last_odometry_s_;
+  std::vector<Suspended> suspended_;  // in the order of arrival; its capacity is reserved
   // Odometry within the present period of report_fast_odometry().
   struct Rate {
     double since_s = 0.0;      // host time

@@ -540,17 +540,41 @@ TEST_F(Live, RestartsWhenTheClockWasSet) {
   begin(0.2);
   drive(kBegin_s, 14.0);
   const std::size_t before = poses_.size();
-  drive(14.0, 18.0, /*with_odometry=*/true, kSet_s);
+  drive(14.0, 15.0, /*with_odometry=*/false);
+  drive(15.0, 19.0, /*with_odometry=*/true, kSet_s);
   EXPECT_EQ(session_->counters().robot_clock_set, 1U);
   ASSERT_GT(poses_.size(), before);
   EXPECT_TRUE(std::all_of(poses_.begin() + static_cast<std::ptrdiff_t>(before), poses_.end(),
                           [](const PoseEstimate& pose) { return pose.t_s < 0.0; }));
   // One second until the new clock is accepted, then the next prior and its lag.
-  EXPECT_GT(poses_[before].t_s, 15.2 + kSet_s);
-  EXPECT_LT(poses_[before].t_s, 16.3 + kSet_s);
+  EXPECT_GT(poses_[before].t_s, 16.2 + kSet_s);
+  EXPECT_LT(poses_[before].t_s, 17.3 + kSet_s);
   poses_.erase(poses_.begin(), poses_.begin() + static_cast<std::ptrdiff_t>(before));
   EXPECT_TRUE(times_increase());
   EXPECT_LT(error_m(poses_.back(), kSet_s), 0.05);
+}
+
+// As when NTP sets the computer's clock.
+TEST_F(Live, AClockThatStepsMovesNoPoseAndLosesNoSample) {
+  for (const double step_s : {1.0, -1.0, 3600.0, -3600.0}) {
+    SCOPED_TRACE(step_s);
+    poses_.clear();
+    settled_.clear();
+    begin(0.2);
+    drive(kBegin_s, 14.0);
+    const std::size_t before = poses_.size();
+    drive(14.0, 18.0, /*with_odometry=*/true, step_s);
+    ASSERT_EQ(poses_.size(), before + 200) << "a pose for each sample";
+    EXPECT_EQ(session_->counters().robot_clock_set, 1U);
+    for (std::size_t i = before; i < poses_.size(); ++i) {
+      EXPECT_NEAR(poses_[i].t_s, 14.0 + step_s + 0.02 * static_cast<double>(i - before), 1e-6);
+      EXPECT_LT(error_m(poses_[i], step_s), 0.05);
+    }
+    // The way between the last pose of the old clock and the first of the new one is that of 20 ms.
+    const double way_m = std::hypot(poses_[before].x_m - poses_[before - 1].x_m, poses_[before].y_m - poses_[before - 1].y_m);
+    EXPECT_NEAR(way_m, kRadius_m * kOmega * 0.02, 0.01);
+    EXPECT_EQ(poses_.back().state, filter::State::kTracking);
+  }
 }
 
 TEST_F(Live, ContinuesThroughARelocation) {

@@ -309,16 +309,16 @@ TEST(Session, FollowsARobotThatRestarts) {
     }
     site.robot_offset_s = new_offset_s;
     for (int i = 0; i < 100; ++i) {
-      site.odometry(12.0 + 0.02 * i);
-      site.session.advance(12.0 + 0.02 * i);
+      site.odometry(13.0 + 0.02 * i);
+      site.session.advance(13.0 + 0.02 * i);
     }
-    site.report(14.0, {0.1});
+    site.report(15.0, {0.1});
     site.session.flush();
     EXPECT_EQ(site.sink.clock_sets, 1);
     EXPECT_EQ(site.session.counters().robot_clock_set, 1U);
     EXPECT_NEAR(static_cast<double>(site.session.counters().robot_time_wrong), 50.0, 2.0);
     ASSERT_EQ(site.sink.ranges.size(), 1U);
-    EXPECT_NEAR(site.sink.ranges[0].t_s - new_offset_s, 13.9, 1e-3);
+    EXPECT_NEAR(site.sink.ranges[0].t_s - new_offset_s, 14.9, 1e-3);
     EXPECT_THAT(lines, testing::Contains(testing::HasSubstr("robot")));
   }
 }
