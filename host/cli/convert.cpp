@@ -3,8 +3,12 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
+#include <filesystem>
 #include <limits>
 #include <memory>
+#include <string_view>
+#include <utility>
 
 #include <CLI/CLI.hpp>
 
@@ -13,8 +17,10 @@
 #include "host/cli/replay_summary.hpp"
 #include "host/cli/terminal.hpp"
 #include "host/cli/warnings.hpp"
+#include "host/daemon/capture.hpp"
 #include "host/filter/replay.hpp"
 #include "host/io/error.hpp"
+#include "host/io/input_file.hpp"
 #include "host/io/output_file.hpp"
 
 namespace groma::cli {
@@ -52,9 +58,40 @@ convert::Converted convert_with_estimates(const ConvertOptions& options, Warning
                        {.dataset = &drive.dataset, .calibration = &drive.calibration, .result = &result});
 }
 
+convert::Estimate estimate_of(const daemon::PoseEstimate& pose) {
+  return {.t_s = pose.t_s,
+          .pose = {{pose.x_m, pose.y_m, pose.z_m}, pose.quaternion},
+          .roll_rad = pose.roll_rad,
+          .pitch_rad = pose.pitch_rad,
+          .yaw_rad = pose.yaw_rad,
+          .covariance = pose.covariance,
+          .state = pose.state,
+          .reason = pose.reason,
+          .velocity = pose.velocity,
+          .velocity_covariance = pose.velocity_covariance,
+          .odom = pose.odom};
+}
+
+// The poses that gromad sent, if the input is a capture.
+void add_sent(const ConvertOptions& options, convert::Recording& recording, Warnings& warnings) {
+  const std::filesystem::path& path = options.input.dataset();
+  if (!std::filesystem::is_regular_file(path)) return;
+  const daemon::StreamReplay replay = daemon::replay_stream(
+      io::read_file(path), options.input.selection().section(),
+      {.on_pose = [&](const daemon::PoseEstimate& pose,
+                      std::string_view) { recording.sent.push_back(estimate_of(pose)); },
+       .on_calibration =
+           [&](const model::Calibration& calibration) { recording.used.push_back(calibration); }});
+  const auto is_foreign = [](const daemon::ReplayedSection& section) { return !section.is_of_this_build; };
+  if (std::any_of(replay.sections.begin(), replay.sections.end(), is_foreign))
+    warnings.add("poses were left out: another build of gromad recorded them; give --calibration");
+}
+
 convert::Converted convert_input(const ConvertOptions& options, Warnings& warnings) {
   const io::Dataset dataset = options.input.read_drive(warnings);
-  return convert_drive(options, {.dataset = &dataset});
+  convert::Recording recording{.dataset = &dataset};
+  add_sent(options, recording, warnings);
+  return convert_drive(options, std::move(recording));
 }
 
 int run(const ConvertOptions& options) {
@@ -84,7 +121,9 @@ void add_convert(CLI::App& app, Action& action) {
   CLI::App* command = app.add_subcommand(
       "convert",
       "Write a recorded drive as an MCAP file: for Foxglove and Lichtblick, or with --ros2 for ROS 2. With a "
-      "calibration it contains the poses that groma replay computes.");
+      "calibration it contains the poses that groma replay computes; a capture without one, those that "
+      "gromad "
+      "sent.");
   options->input.add_options(*command);
   options->input.add_relocation(*command);
   command->add_flag("--ros2", options->ros2,

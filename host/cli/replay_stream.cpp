@@ -78,8 +78,9 @@ int replay_stream(const StreamOptions& options) {
   io::expect_writable(options.output);
   const std::string capture = io::read_file(options.capture);
   std::string lines;
-  daemon::StreamReplay replay =
-      daemon::replay_stream(capture, options.section, [&lines](std::string_view line) { lines += line; });
+  daemon::StreamReplay replay = daemon::replay_stream(
+      capture, options.section,
+      {.on_pose = [&lines](const daemon::PoseEstimate&, std::string_view line) { lines += line; }});
   expect_replayed(options, replay.sections);
   io::write_file(options.output, lines);
 

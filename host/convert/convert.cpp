@@ -15,6 +15,7 @@
 #include "host/filter/sensors.hpp"
 #include "host/io/version.hpp"
 #include "host/mcap/writer.hpp"
+#include "host/model/odom_frame.hpp"
 #include "host/model/pose.hpp"
 #include "host/ros2/time.hpp"
 
@@ -27,7 +28,7 @@ constexpr std::uint64_t kRangesTime_ns = 50'000'000;
 
 // A sample, or the ranges [begin, end), of the recording.
 struct Event {
-  enum class Source { kRanges, kSensor, kPrior, kOdometry, kEstimate };
+  enum class Source { kRanges, kSensor, kPrior, kOdometry, kEstimate, kSent };
   double t_s = 0.0;
   Source source = Source::kRanges;
   std::size_t begin = 0;
@@ -53,6 +54,7 @@ class Timeline {
     add(Event::Source::kOdometry, std::span(dataset.odometry), time_of);
     if (recording.result != nullptr)
       add(Event::Source::kEstimate, std::span(recording.result->rows), time_of);
+    add(Event::Source::kSent, std::span(recording.sent), time_of);
     std::stable_sort(events_.begin(), events_.end(),
                      [](const Event& a, const Event& b) { return a.t_s < b.t_s; });
   }
@@ -103,7 +105,7 @@ InputPose placed(const model::PoseSample& sample, InputPose::Kind kind, const mo
 }
 
 Estimate estimate_of(const filter::ReplayResult& result, std::size_t row,
-                     const model::OdometrySample& odometry) {
+                     const model::OdometrySample& odometry, const model::OdometryNoise& noise) {
   const model::PlanarEstimate& planar = result.rows[row];
   const model::SpatialEstimate& spatial = result.spatial[row];
   return {.t_s = planar.t_s,
@@ -114,7 +116,8 @@ Estimate estimate_of(const filter::ReplayResult& result, std::size_t row,
           .covariance = spatial.covariance,
           .state = result.states[row].state,
           .reason = result.states[row].reason,
-          .odometry = odometry};
+          .velocity = velocity_of(odometry),
+          .velocity_covariance = covariance_of(noise)};
 }
 
 void put(const model::SensorSample& sample, const model::Surface& surface, Encoder& encoder) {
@@ -132,8 +135,13 @@ void put(const model::SensorSample& sample, const model::Surface& surface, Encod
 void put_all(const Recording& recording, std::span<const model::SensorSample> sensors,
              std::span<const Event> events, Encoder& encoder) {
   const io::Dataset& dataset = *recording.dataset;
-  if (recording.calibration != nullptr && !events.empty()) encoder.put_site(events.front().t_s);
+  const auto put_site = [&](const model::Calibration& calibration) {
+    if (!events.empty()) encoder.put_site(events.front().t_s, calibration);
+  };
+  if (recording.calibration != nullptr) put_site(*recording.calibration);
+  for (const model::Calibration& calibration : recording.used) put_site(calibration);
   model::OdometrySample odometry;
+  model::OdomFrame odom;
   for (const Event& event : events) {
     const std::size_t i = event.begin;
     switch (event.source) {
@@ -148,10 +156,17 @@ void put_all(const Recording& recording, std::span<const model::SensorSample> se
         break;
       case Event::Source::kOdometry:
         odometry = dataset.odometry[i];
+        odom.take(odometry);
         encoder.put(odometry);
         break;
-      case Event::Source::kEstimate:
-        encoder.put(estimate_of(*recording.result, i, odometry));
+      case Event::Source::kEstimate: {
+        Estimate estimate = estimate_of(*recording.result, i, odometry, dataset.odometry_noise);
+        estimate.odom = odom.pose();
+        encoder.put(estimate);
+        break;
+      }
+      case Event::Source::kSent:
+        encoder.put(recording.sent[i]);
         break;
     }
   }
@@ -171,9 +186,10 @@ Converted to_mcap(const Recording& recording, Format format) {
   const bool is_ros2 = format == Format::kRos2;
   mcap::Writer writer(is_ros2 ? "ros2" : "", fmt::format("groma {}", io::program_version()));
   constexpr std::string_view kMapFrame = "map";
-  const Site site{.frame = recording.calibration != nullptr ? recording.calibration->frame : kMapFrame,
+  const model::Calibration* const calibration =
+      recording.used.empty() ? recording.calibration : &recording.used.front();
+  const Site site{.frame = calibration != nullptr ? calibration->frame : kMapFrame,
                   .tags = dataset.tags,
-                  .calibration = recording.calibration,
                   .odometry_noise = dataset.odometry_noise,
                   .gyro_sigma_radps = filter::SensorConfig(dataset.sensors).gyro_sigma_radps};
   const auto encoder = is_ros2 ? make_ros2_encoder(writer, site) : make_foxglove_encoder(writer, site);

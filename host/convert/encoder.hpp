@@ -11,7 +11,7 @@
 
 #include <Eigen/Core>
 
-#include "host/filter/tracker.hpp"
+#include "host/convert/convert.hpp"
 #include "host/mcap/writer.hpp"
 #include "host/model/calibration.hpp"
 #include "host/model/pose.hpp"
@@ -23,10 +23,9 @@ inline constexpr std::string_view kBaseFrame = "base_link";
 
 // What does not change during the recording.
 struct Site {
-  std::string_view frame;                 // of the map
-  std::span<const model::Tag> tags;       // in base_link
-  const model::Calibration* calibration;  // null: no estimates
-  model::OdometryNoise odometry_noise;    // of each sample
+  std::string_view frame;               // of the map
+  std::span<const model::Tag> tags;     // in base_link
+  model::OdometryNoise odometry_noise;  // of each sample
   double gyro_sigma_radps = 0.0;
 };
 
@@ -39,18 +38,15 @@ struct InputPose {
   std::optional<model::PoseCovariance> covariance;  // none: unknown
 };
 
-// An estimate, at the time of an odometry sample.
-struct Estimate {
-  double t_s = 0.0;
-  model::QuaternionPose pose;
-  double roll_rad = 0.0;
-  double pitch_rad = 0.0;
-  double yaw_rad = 0.0;                                                          // the heading on the surface
-  Eigen::Matrix<double, 6, 6> covariance = Eigen::Matrix<double, 6, 6>::Zero();  // x, y, z, roll, pitch, yaw
-  filter::State state = filter::State::kUninitialized;
-  filter::Reason reason = filter::Reason::kNone;
-  model::OdometrySample odometry;
-};
+// vx, vy and yaw rate, and their covariance.
+[[nodiscard]] inline Eigen::Vector3d velocity_of(const model::OdometrySample& sample) noexcept {
+  return {sample.vx_mps, sample.vy_mps, sample.omega_radps};
+}
+[[nodiscard]] inline Eigen::Matrix3d covariance_of(const model::OdometryNoise& noise) noexcept {
+  return Eigen::Vector3d(noise.sigma_vx_mps, noise.sigma_vy_mps, noise.sigma_omega_radps)
+      .cwiseAbs2()
+      .asDiagonal();
+}
 
 class Encoder {
  public:
@@ -59,8 +55,9 @@ class Encoder {
   Encoder(const Encoder&) = delete;
   Encoder& operator=(const Encoder&) = delete;
 
-  // Each t_s satisfies ros2::has_timestamp(). put_site() comes first, once, and only with a calibration.
-  virtual void put_site(double t_s) = 0;
+  // Each t_s satisfies ros2::has_timestamp(). put_site() comes before the estimates that its calibration
+  // gave.
+  virtual void put_site(double t_s, const model::Calibration& calibration) = 0;
   // Of at most 50 ms, by time; not empty.
   virtual void put(std::span<const model::RangeSample> ranges) = 0;
   virtual void put(const model::OdometrySample& sample) = 0;

@@ -161,9 +161,9 @@ class FoxgloveEncoder final : public Encoder {
  public:
   FoxgloveEncoder(mcap::Writer& writer, const Site& site) : Encoder(writer), site_(site) {}
 
-  void put_site(double t_s) override {
+  void put_site(double t_s, const model::Calibration& calibration) override {
     ProtoWriter scene;
-    for (const model::AnchorCalibration& anchor : site_.calibration->anchors) {
+    for (const model::AnchorCalibration& anchor : calibration.anchors) {
       if (model::has_position(anchor)) scene.bytes(2, anchor_entity(t_s, site_.frame, anchor));
     }
     scene.bytes(2, robot_entity(t_s, site_.tags));

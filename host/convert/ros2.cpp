@@ -6,7 +6,6 @@
 #include <utility>
 
 #include "host/convert/encoder.hpp"
-#include "host/model/odom_frame.hpp"
 #include "host/model/pose.hpp"
 #include "host/ros2/cdr_writer.hpp"
 #include "host/ros2/messages.hpp"
@@ -43,9 +42,8 @@ class Ros2Encoder final : public Encoder {
   Ros2Encoder(mcap::Writer& writer, const Site& site)
       : Encoder(writer), site_(site), messages_({.map = std::string(site.frame)}, true) {}
 
-  void put_site(double t_s) override {
-    write(ros2::kAnchorsTopic, "visualization_msgs/msg/MarkerArray", t_s,
-          ros2::anchor_markers(*site_.calibration));
+  void put_site(double t_s, const model::Calibration& calibration) override {
+    write(ros2::kAnchorsTopic, "visualization_msgs/msg/MarkerArray", t_s, ros2::anchor_markers(calibration));
   }
 
   void put(std::span<const model::RangeSample> ranges) override {
@@ -58,10 +56,9 @@ class Ros2Encoder final : public Encoder {
   }
 
   void put(const model::OdometrySample& sample) override {
-    odom_.take(sample);
     CdrWriter out;
     put_header(out, sample.t_s, kBaseFrame);
-    ros2::put_twist(out, velocity_of(sample), velocity_covariance());
+    ros2::put_twist(out, velocity_of(sample), covariance_of(site_.odometry_noise));
     write("/groma/input/odometry", "geometry_msgs/msg/TwistWithCovarianceStamped", sample.t_s, out.message());
   }
 
@@ -105,13 +102,12 @@ class Ros2Encoder final : public Encoder {
   }
 
   void put(const Estimate& estimate) override {
-    const model::OdometrySample& sample = estimate.odometry;
     messages_.put({.t_s = estimate.t_s,
                    .pose = estimate.pose,
                    .covariance = estimate.covariance,
-                   .velocity = velocity_of(sample),
-                   .velocity_covariance = velocity_covariance(),
-                   .odom = odom_.pose(),
+                   .velocity = estimate.velocity,
+                   .velocity_covariance = estimate.velocity_covariance,
+                   .odom = estimate.odom,
                    .state = estimate.state,
                    .reason = estimate.reason},
                   [this](std::string_view topic, std::string_view type, double t_s, std::string_view cdr) {
@@ -132,18 +128,8 @@ class Ros2Encoder final : public Encoder {
     for (const double term : matrix.reshaped()) out.put(term);
   }
 
-  static Eigen::Vector3d velocity_of(const model::OdometrySample& sample) {
-    return {sample.vx_mps, sample.vy_mps, sample.omega_radps};
-  }
-  [[nodiscard]] Eigen::Matrix3d velocity_covariance() const {
-    const model::OdometryNoise& noise = site_.odometry_noise;
-    const Eigen::Vector3d sigmas(noise.sigma_vx_mps, noise.sigma_vy_mps, noise.sigma_omega_radps);
-    return sigmas.cwiseAbs2().asDiagonal();
-  }
-
   Site site_;
   ros2::LocalizationMessages messages_;
-  model::OdomFrame odom_;
 };
 
 }  // namespace

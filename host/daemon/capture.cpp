@@ -19,9 +19,8 @@ struct File {
 
 class Replayer {
  public:
-  using OnLine = std::function<void(std::string_view line)>;
-
-  Replayer(std::optional<std::size_t> only, const OnLine& on_line) : only_(only), on_line_(on_line) {}
+  Replayer(std::optional<std::size_t> only, const StreamReceiver& receiver)
+      : only_(only), receiver_(receiver) {}
 
   void take(const io::LogEvent& event) {
     if (const auto* start = std::get_if<io::SectionStart>(&event)) {
@@ -68,6 +67,7 @@ class Replayer {
       } else {
         Pipeline::Adoption adoption;
         archive(adoption);
+        give(adoption.calibration);
         pipeline_->take(std::move(adoption));
       }
     } catch (const model::StateArchive::Mismatch&) {
@@ -106,6 +106,11 @@ class Replayer {
         [](const PoseEstimate&) {});
     pipeline_->archive(archive);
     if (!archive.at_end()) throw model::StateArchive::Mismatch();
+    if (pipeline_->localizer() != nullptr) give(pipeline_->localizer()->calibration());
+  }
+
+  void give(const model::Calibration& calibration) {
+    if (is_written() && receiver_.on_calibration) receiver_.on_calibration(calibration);
   }
 
   template <class Event>
@@ -118,7 +123,7 @@ class Replayer {
     ++poses_;
     hash_ = io::fnv1a(line, hash_);
     ++sections_.back().poses;
-    if (is_written()) on_line_(line);
+    if (is_written() && receiver_.on_pose) receiver_.on_pose(pose, line);
   }
 
   void restart_digest() {
@@ -132,7 +137,7 @@ class Replayer {
   }
 
   std::optional<std::size_t> only_;
-  const OnLine& on_line_;
+  const StreamReceiver& receiver_;
   std::vector<ReplayedSection> sections_;
   Config config_;
   std::unique_ptr<Pipeline> pipeline_;  // null: no snapshot yet, or one of another build
@@ -155,8 +160,8 @@ void take_snapshot(const Config& config, Pipeline& pipeline, std::string& bytes)
 }
 
 StreamReplay replay_stream(std::string_view capture, std::optional<std::size_t> only,
-                           const std::function<void(std::string_view line)>& on_line) {
-  Replayer replayer(only, on_line);
+                           const StreamReceiver& receiver) {
+  Replayer replayer(only, receiver);
   StreamReplay out;
   out.damaged_bytes =
       io::read_log_events(capture, [&replayer](const io::LogEvent& event) { replayer.take(event); });

@@ -36,9 +36,16 @@ struct StreamReplay {
   std::size_t damaged_bytes = 0;
 };
 
-// Gives the pose lines of all sections, or of one (from 1), as they went out. A snapshot is an image of
-// gromad's memory: replay only captures that you trust.
+// Receive what went out; either may be empty.
+struct StreamReceiver {
+  std::function<void(const PoseEstimate& pose, std::string_view line)> on_pose;
+  // The calibration in use from now on, also at the start of a section.
+  std::function<void(const model::Calibration& calibration)> on_calibration = {};
+};
+
+// Gives the poses of all sections, or of one (from 1), as they went out. A snapshot is an image of gromad's
+// memory: replay only captures that you trust.
 [[nodiscard]] StreamReplay replay_stream(std::string_view capture, std::optional<std::size_t> only,
-                                         const std::function<void(std::string_view line)>& on_line);
+                                         const StreamReceiver& receiver);
 
 }  // namespace groma::daemon

@@ -111,6 +111,7 @@ class Localizer : public MeasurementSink {
   [[nodiscard]] std::optional<diagnosis::Finding> finding() const;
   // Samples of odometry and other sensors that were dropped as physically impossible.
   [[nodiscard]] std::uint64_t implausible() const noexcept { return implausible_; }
+  [[nodiscard]] const model::Calibration& calibration() const noexcept { return setup_.calibration; }
   [[nodiscard]] const filter::Filter& filter() const noexcept { return tracker_->filter().filter(); }
 
   // Of a localizer with the same surface and configuration; tags and calibration are part of it.

@@ -30,10 +30,10 @@ class MeasurementSink {
   virtual void on_sensor_ahead(const model::SensorSample& /*sample*/) {}
   // The robot's clock was set or the robot restarted: times before and after are not comparable.
   virtual void on_clock_set() = 0;
-  // The robot's clock was set while the robot went on: a time of the old clock plus step_s is a time of the new
-  // one. found_late: measurements with new times were passed on before the step was found. By default a sink
-  // discards its data after a long step, and after a step back that was found at once. A short one found late
-  // may also be a link that delayed for a while, so the data stays.
+  // The robot's clock was set while the robot went on: a time of the old clock plus step_s is a time of the
+  // new one. found_late: measurements with new times were passed on before the step was found. By default a
+  // sink discards its data after a long step, and after a step back that was found at once. A short one found
+  // late may also be a link that delayed for a while, so the data stays.
   static constexpr double kLongStep_s = 1.0;
   virtual void on_clock_step(double step_s, bool found_late) {
     if (step_s > kLongStep_s || (step_s < 0.0 && !found_late)) on_clock_set();

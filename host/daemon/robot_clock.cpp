@@ -118,14 +118,15 @@ Timestamp RobotClock::judge(double t_s, double now_s) noexcept {
 bool RobotClock::shows_step(double t_s, double now_s, double offset_s) noexcept {
   const double since_s = now_s - std::exchange(arrived_s_, now_s);
   jitter_s_ *= std::exp(-std::max(since_s, 0.0) / kForget_s);
-  const bool is_good = offset_s >= -config_.max_error_s && offset_s <= kSlack_s && !(last_s_ && t_s <= *last_s_);
+  const bool is_good =
+      offset_s >= -config_.max_error_s && offset_s <= kSlack_s && !(last_s_ && t_s <= *last_s_);
   if (is_good) jitter_s_ = std::max(jitter_s_, -offset_s);
   if (is_good || std::abs(offset_s) <= kSlack_s + jitter_s_) {
     step_run_ = {};
     return false;
   }
-  const bool agrees = step_run_.samples > 0 && std::abs(offset_s - step_run_.offset_s) <= kAgree_s &&
-                      t_s > step_run_.last_s;
+  const bool agrees =
+      step_run_.samples > 0 && std::abs(offset_s - step_run_.offset_s) <= kAgree_s && t_s > step_run_.last_s;
   if (!agrees) step_run_ = {.offset_s = offset_s, .is_steady = since_s <= kLongestPause_s};
   ++step_run_.samples;
   step_run_.last_s = t_s;

@@ -105,8 +105,8 @@ class RobotClock {
   // The last samples, whose offsets agree and do not fit the clock.
   struct StepRun {
     std::uint32_t samples = 0;
-    double offset_s = 0.0;  // of the first
-    double last_s = 0.0;    // t_s
+    double offset_s = 0.0;   // of the first
+    double last_s = 0.0;     // t_s
     bool is_steady = false;  // without a pause before the first
   };
 
@@ -124,8 +124,8 @@ class RobotClock {
   Run run_;
   Far far_;
   StepRun step_run_;
-  double arrived_s_ = 0.0;  // host time of the last sample
-  double jitter_s_ = 0.0;   // the largest delay of good samples, forgotten within kForget_s
+  double arrived_s_ = 0.0;        // host time of the last sample
+  double jitter_s_ = 0.0;         // the largest delay of good samples, forgotten within kForget_s
   std::uint32_t early_ = 0;       // in a row
   std::uint32_t late_alike_ = 0;  // in a row
   double late_by_s_ = 0.0;

@@ -173,7 +173,8 @@ void Session::take(const model::OdometrySample& odometry, double now_s) {
     use_suspended(now_s);
   }
   report_suspect_times();
-  const bool fits = timestamp == Timestamp::kGood || timestamp == Timestamp::kStepped || timestamp == Timestamp::kSet;
+  const bool fits =
+      timestamp == Timestamp::kGood || timestamp == Timestamp::kStepped || timestamp == Timestamp::kSet;
   // A sample that does not fit as the one before did was wrong alone.
   if (fits || robot_clock_.waiting() <= 1) drop_suspended(/*only_odometry=*/!fits);
   if (fits) return use(odometry, now_s);
@@ -201,8 +202,10 @@ void Session::suspend(const Suspended& sample) {
 
 void Session::drop(const Suspended& sample) {
   if (std::holds_alternative<model::OdometrySample>(sample.sample)) {
-    if (sample.timestamp == Timestamp::kWrong) return drop_odometry(counters_.robot_time_wrong, sample.arrived_s);
-    if (sample.timestamp == Timestamp::kEarly) return drop_odometry(counters_.robot_time_early, sample.arrived_s);
+    if (sample.timestamp == Timestamp::kWrong)
+      return drop_odometry(counters_.robot_time_wrong, sample.arrived_s);
+    if (sample.timestamp == Timestamp::kEarly)
+      return drop_odometry(counters_.robot_time_early, sample.arrived_s);
     return drop_odometry(counters_.odometry_out_of_order, sample.arrived_s);
   }
   if (sample.timestamp == Timestamp::kWrong) ++counters_.robot_time_wrong;

@@ -212,8 +212,8 @@ class Session {
   void take(const model::SensorSample& sample, double now_s);
   void take(const InitialPose& initial, double now_s);
   void take(model::RangeSample range);
-  // kGood, kWrong, kEarly or kFallenBack: how the time of a pose or sensor sample fits. Requires a known robot
-  // time.
+  // kGood, kWrong, kEarly or kFallenBack: how the time of a pose or sensor sample fits. Requires a known
+  // robot time.
   [[nodiscard]] Timestamp judge(SensorTimes& times, double t_s, double now_s);
   template <typename Sample>
   void take_timed(SensorTimes& times, double t_s, const Sample& sample, double now_s);

@@ -1,7 +1,17 @@
 // gromad with a node of another middleware: Fast DDS, with the settings of rmw_fastrtps_cpp.
 #include <gmock/gmock.h>
 
+#include <algorithm>
+#include <chrono>
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
+#include <iterator>
+
+#include "host/mcap/writer.hpp"
+#include "test/npm/node.hpp"
 #include "test/ros2/ros2_fixture.hpp"
+#include "test/support/child_process.hpp"
 
 namespace groma::daemon {
 namespace {
@@ -81,6 +91,214 @@ TEST_F(Ros2Test, LocalizesByOdometryOfAPeer) {
   EXPECT_NEAR(number(transforms, "transforms[0].transform.translation.x"), 0.0, 0.2);
   EXPECT_NEAR(number(transforms, "transforms[0].transform.translation.y"), 2.0, 0.2);
   EXPECT_NEAR(number(transforms, "transforms[0].transform.rotation.z"), std::sqrt(0.5), 0.03);
+}
+
+TEST_F(Ros2Test, StartsAgainAtAnInitialPose) {
+  SimulatedSite site(folder_.path(), kSpeed);
+  set_clock(site);
+  write_surveyed(site);
+  Peer peer(9, "default", {writes("/initialpose", "geometry_msgs/msg/PoseWithCovarianceStamped")});
+  Gromad gromad({"--config", ros2_config("{domain_id: 9}")});
+  ASSERT_TRUE(run_with(peer, site, gromad, [&] {
+    return poses("TRACKING") >= 50 && peer.has_event("reader rt/initialpose");
+  })) << gromad.log();
+  const auto send = [&](const char* frame) {
+    const auto truth = SimulatedSite::truth(site.site_time_s() + SimulatedSite::kRobotOrigin_s);
+    ros2::CdrWriter out;
+    ros2::put_header(out, unix_time_s() + 5.0, frame);  // of a computer whose clock differs
+    ros2::put_pose(out, {{truth.x_m + 2.0, truth.y_m, 0.0},
+                         {0.0, 0.0, std::sin(0.5 * truth.yaw_rad), std::cos(0.5 * truth.yaw_rad)}});
+    ros2::put_covariance(out, 0.25 * ros2::Covariance::Identity());
+    peer.write("rt/initialpose", out.message());
+  };
+  // Until writer and reader have found each other, messages are lost.
+  auto next = std::chrono::steady_clock::now();
+  ASSERT_TRUE(run_with(peer, site, gromad, [&] {
+    if (std::chrono::steady_clock::now() > next) {
+      send("odom");
+      next += std::chrono::milliseconds(200);
+    }
+    return gromad.log().find("publish the pose in the map's frame") != std::string::npos;
+  })) << gromad.log();
+  const std::size_t before = objects_.size();
+  send("map");
+  const auto moved = [&] {
+    for (std::size_t i = before; i < objects_.size(); ++i) {
+      const json& object = objects_[i];
+      if (object.at("class") != "POSE") continue;
+      const auto truth = SimulatedSite::truth(object.at("t_s").get<double>() - site.robot_clock_s);
+      if (object.at("x_m").get<double>() - truth.x_m > 1.0) return true;
+    }
+    return false;
+  };
+  ASSERT_TRUE(run_with(peer, site, gromad, moved)) << "at the wrong place, as it was asked\n" << gromad.log();
+}
+
+// Samples that a broken or hostile node sends are refused, and poses go on.
+TEST_F(Ros2Test, RefusesHostileSamples) {
+  SimulatedSite site(folder_.path(), kSpeed);
+  set_clock(site);
+  write_surveyed(site);
+  Peer peer(10, "default", {writes("/odom", "nav_msgs/msg/Odometry")});
+  Peer other(10, "default", {writes("/odom", "std_msgs/msg/String")});
+  send_by(peer, site);
+  Gromad gromad({"--config", ros2_config("{domain_id: 10}", false)});
+  ASSERT_TRUE(run_with(peer, site, gromad, [&] { return poses("TRACKING") >= 100; })) << gromad.log();
+  const double now_s = unix_time_s();
+  const double nan = std::nan("");
+  peer.write("rt/odom", odometry_message({now_s, nan, 0.0, 0.0, 0.0, 0.0}));
+  peer.write("rt/odom", odometry_message({now_s, 0.0, 0.0, nan, 0.0, 0.0}));
+  peer.write("rt/odom", odometry_message({now_s, 1e300, 0.0, 0.0, 0.0, 0.0}));
+  peer.write("rt/odom",
+             odometry_message({now_s, 0.0, 0.0, 0.0, 0.0, 0.0}, std::string(100'000, 'x').c_str()));
+  peer.write("rt/odom", odometry_message({now_s, 0.0, 0.0, 0.0, 0.0, 0.0}).substr(0, 300));
+  peer.write("rt/odom", std::string("\0\1\0\0", 4) + std::string(200, '\xff'));
+  other.write("rt/odom", std::string("\0\1\0\0\4\0\0\0abc\0", 12));
+  const std::size_t before = poses("TRACKING");
+  ASSERT_TRUE(run_with(peer, site, gromad, [&] {
+    return poses("TRACKING") >= before + 200 &&
+           gromad.log().find("messages not used so far") != std::string::npos;
+  })) << gromad.log();
+  EXPECT_LT(largest_error_m(site, 100), 0.3);
+  gromad.terminate();
+  EXPECT_EQ(gromad.exit_code(), 0) << gromad.log();
+}
+
+// ros_discovery_info, from which `ros2 node list` and `ros2 topic info` have the node of each endpoint.
+TEST_F(Ros2Test, IsInTheGraph) {
+  for (const auto& [graph, gid] : {std::pair{"iron", 16}, {"humble", 24}}) {
+    std::filesystem::remove(folder_ / "robot.sock");
+    SimulatedSite site(folder_.path(), kSpeed);
+    set_clock(site);
+    write_surveyed(site);
+    client_.reset();
+    const std::string type = "rmw_dds_common/msg/ParticipantEntitiesInfo";
+    Peer peer(11, "default",
+              {{"read", "ros_discovery_info", dds::dds_type_name(type), "reliable", "latched", "100"}});
+    Gromad gromad({"--config", ros2_config(fmt::format("{{domain_id: 11, graph: {}}}", graph))});
+    ASSERT_TRUE(run_with(peer, site, gromad, [&] { return !peer.of("ros_discovery_info").empty(); }))
+        << gromad.log();
+    const std::string cdr = peer.of("ros_discovery_info").back().cdr;
+    std::string definition = ros2::schema_of(type);
+    const std::size_t at = definition.find("uint8[16] data");
+    definition.replace(at, 14, fmt::format("uint8[{}] data", gid));
+    const ros2::MessageDefinition reader(type, definition);
+    const auto info = reader.read(cdr);
+    ASSERT_TRUE(info);
+    EXPECT_EQ(text(*info, "node_entities_info_seq[0].node_namespace"), "/groma");
+    EXPECT_EQ(text(*info, "node_entities_info_seq[0].node_name"), "localizer");
+    const auto count = [&](const char* path) {
+      return ros2::values_at(*info, *ros2::FieldPath::parse(path)).size();
+    };
+    EXPECT_EQ(count("node_entities_info_seq[0].writer_gid_seq[].data"), 6U);
+    EXPECT_EQ(count("node_entities_info_seq[0].reader_gid_seq[].data"), 1U);
+  }
+}
+
+// A peer that is killed and started again, before and after gromad.
+TEST_F(Ros2Test, FindsAPeerThatStartsAgain) {
+  SimulatedSite site(folder_.path(), kSpeed);
+  set_clock(site);
+  write_surveyed(site);
+  const auto start = [] { return std::make_unique<Peer>(12, "default", all_readers()); };
+  auto peer = start();
+  Gromad gromad({"--config", ros2_config("{domain_id: 12}")});
+  const int restarts =
+      std::getenv("GROMA_RESTARTS") != nullptr ? std::atoi(std::getenv("GROMA_RESTARTS")) : 2;
+  for (int i = 0; i < restarts; ++i) {
+    ASSERT_TRUE(run_with(
+        *peer, site, gromad,
+        [&] { return peer->of("rt/groma/pose").size() >= 20 && !peer->of("rt/groma/anchors").empty(); }))
+        << i << '\n'
+        << gromad.log();
+    peer.reset();
+    peer = start();
+  }
+  gromad.terminate();
+  EXPECT_EQ(gromad.exit_code(), 0) << gromad.log();
+}
+
+// What was recorded is what went over the wire: the pose stream byte for byte, the messages field by field as
+// the viewers' packages read them.
+TEST_F(Ros2Test, ACaptureRepeatsWhatThePeerReceived) {
+  SimulatedSite site(folder_.path(), kSpeed);
+  set_clock(site);
+  write_surveyed(site);
+  std::vector<Peer::Endpoint> endpoints = all_readers();
+  endpoints[0] = reads("/groma/pose", "geometry_msgs/msg/PoseWithCovarianceStamped");
+  endpoints.push_back(writes("/odom", "nav_msgs/msg/Odometry"));
+  Peer peer(13, "default", endpoints);
+  send_by(peer, site);
+  Gromad gromad({"--config", ros2_config("{domain_id: 13}\nlog: drive.glog", false)});
+  ASSERT_TRUE(run_with(peer, site, gromad, [&] {
+    return poses("TRACKING") >= 100 && peer.of("rt/tf").size() >= 100 &&
+           !peer.of("rt/groma/anchors").empty() && peer.of("rt/diagnostics").size() >= 6;
+  })) << gromad.log();
+  gromad.terminate();
+  EXPECT_EQ(gromad.exit_code(), 0) << gromad.log();
+  peer.read();
+
+  const auto run = [&](std::vector<std::string> arguments) {
+    arguments.insert(arguments.begin(), GROMA_PATH);
+    const groma::test::ChildResult result = groma::test::run_child(arguments);
+    EXPECT_EQ(result.exit_code, 0) << result.err;
+    return result.out;
+  };
+  const std::string capture = (folder_ / "drive.glog").string();
+  run({"replay", capture, "--stream", (folder_ / "poses").string()});
+  std::ifstream stream(folder_ / "poses");
+  const std::string repeated{std::istreambuf_iterator<char>(stream), {}};
+  const std::string received = poses_received();
+  EXPECT_GT(received.size(), 10'000U);
+  EXPECT_NE(repeated.find(received), std::string::npos);
+
+  // The peer's messages as a recording of their own.
+  mcap::Writer writer("ros2", "a peer");
+  const std::map<std::string, std::string> types{
+      {"/groma/pose", "geometry_msgs/msg/PoseWithCovarianceStamped"},
+      {"/groma/odometry", "nav_msgs/msg/Odometry"},
+      {"/groma/anchors", "visualization_msgs/msg/MarkerArray"},
+      {"/tf", "tf2_msgs/msg/TFMessage"},
+      {"/diagnostics", "diagnostic_msgs/msg/DiagnosticArray"}};
+  for (const auto& [topic, type] : types) {
+    const std::string schema = ros2::schema_of(type);
+    const std::uint16_t channel = writer.add_channel(topic, "cdr", {type, "ros2msg", schema});
+    for (const PeerMessage& message : peer.of("rt" + topic))
+      writer.write(channel, static_cast<std::uint64_t>(message.arrived_ns), message.cdr);
+  }
+  folder_.write("wire.mcap", writer.finish());
+  run({"convert", capture, "--ros2", "-o", (folder_ / "bag.mcap").string()});
+  const auto read = [&](const char* file) {
+    const groma::test::ChildResult result = groma::test::run_child(
+        {groma::test::node(), groma::test::kNpmFolder / "read_mcap.mjs", (folder_ / file).string()});
+    EXPECT_EQ(result.exit_code, 0) << result.err;
+    std::map<std::string, std::vector<json>> out;
+    const json content = json::parse(result.out);
+    for (const json& message : content.at("messages"))
+      out[message.at("topic")].push_back(message.at("value"));
+    return out;
+  };
+  const auto wire = read("wire.mcap");
+  const auto bag = read("bag.mcap");
+  for (const auto& [topic, type] : types) {
+    SCOPED_TRACE(topic);
+    ASSERT_TRUE(wire.contains(topic));
+    ASSERT_TRUE(bag.contains(topic));
+    std::vector<json> expected = wire.at(topic);
+    // What concerns this computer's devices is not in a recording.
+    std::erase_if(expected, [](const json& message) {
+      return message.contains("status") && message.at("status")[0].at("name") != "groma: localization";
+    });
+    ASSERT_FALSE(expected.empty());
+    // The peer has all messages from its first one on.
+    const std::vector<json>& all = bag.at(topic);
+    const auto first = std::find(all.begin(), all.end(), expected.front());
+    ASSERT_NE(first, all.end());
+    ASSERT_LE(expected.size(), static_cast<std::size_t>(all.end() - first));
+    EXPECT_GE(expected.size() + 2, static_cast<std::size_t>(all.end() - first)) << "sent while gromad ended";
+    for (std::size_t i = 0; i < expected.size(); ++i)
+      EXPECT_EQ(expected[i], first[static_cast<std::ptrdiff_t>(i)]);
+  }
 }
 
 }  // namespace

@@ -571,7 +571,8 @@ TEST_F(Live, AClockThatStepsMovesNoPoseAndLosesNoSample) {
       EXPECT_LT(error_m(poses_[i], step_s), 0.05);
     }
     // The way between the last pose of the old clock and the first of the new one is that of 20 ms.
-    const double way_m = std::hypot(poses_[before].x_m - poses_[before - 1].x_m, poses_[before].y_m - poses_[before - 1].y_m);
+    const double way_m =
+        std::hypot(poses_[before].x_m - poses_[before - 1].x_m, poses_[before].y_m - poses_[before - 1].y_m);
     EXPECT_NEAR(way_m, kRadius_m * kOmega * 0.02, 0.01);
     EXPECT_EQ(poses_.back().state, filter::State::kTracking);
   }
