@@ -73,9 +73,14 @@ set(CPACK_PACKAGE_DESCRIPTION
  ranges and its odometry, and serves its pose. Not a safety device."
 )
 # What dpkg-shlibdeps finds; it knows only the libraries of this machine's processor. package_test compares.
+set(dds "")
+if(GROMA_HAS_ROS2)
+  set(dds "libddsc0debian (>= 0.8.0)")
+endif()
 string(
   JOIN ", " CPACK_DEBIAN_PACKAGE_DEPENDS
   "libc6 (>= 2.35)"
+  ${dds}
   "libfmt9 (>= 9.1.0+ds1)"
   "libgcc-s1 (>= 3.0)"
   "liblz4-1 (>= 0.0~r127)"

@@ -171,10 +171,10 @@ double resident_mib(pid_t pid) {
 }
 
 std::unique_ptr<Gromad> start_gromad(const groma::test::TemporaryFolder& folder,
-                                     const LoadGenerator& generator) {
+                                     const LoadGenerator& generator, const std::string& more_config) {
   folder.write("calibration.yaml", io::format_calibration(generator.calibration()));
-  const std::filesystem::path config =
-      folder.write("gromad.yaml", LoadGenerator::config() + "pose_stream: {port: 0}\nlog: drive.glog\n");
+  const std::filesystem::path config = folder.write(
+      "gromad.yaml", LoadGenerator::config() + "pose_stream: {port: 0}\nlog: drive.glog\n" + more_config);
   ::setenv("LD_PRELOAD", GROMA_ALLOCATION_COUNTER, 1);
   ::setenv(kCountsVariable, (folder / "counts").c_str(), 1);
   const std::vector<std::string> arguments{"--config", config.string()};
@@ -229,6 +229,7 @@ void note_load(const LoadGenerator& generator, const json& status, Measurement& 
 
 void note_poses(const LoadGenerator& generator, const PoseClient& client, Measurement& out) {
   const std::vector<std::int64_t>& written_ns = generator.odometry_written_ns();
+  out.odometry_written_ns = written_ns;
   const std::vector<std::int64_t>& arrived_ns = client.arrived_ns();
   const auto counted = static_cast<std::size_t>(kWarmUp_s * LoadGenerator::kOdometry_hz);
   bool begun = false;
@@ -250,6 +251,8 @@ void note_recording(const std::filesystem::path& path, Measurement& out) {
   out.odometry_recorded = recorded.odometry.size();
 }
 
+}  // namespace
+
 double percentile(std::vector<double> values, double share) {
   if (values.empty()) return std::nan("");
   const auto rank = static_cast<std::size_t>(std::ceil(share * static_cast<double>(values.size())));
@@ -258,13 +261,11 @@ double percentile(std::vector<double> values, double share) {
   return *at;
 }
 
-}  // namespace
-
-Measurement measure(double duration_s) {
+Measurement measure(double duration_s, const std::string& more_config) {
   const groma::test::TemporaryFolder folder;
   LoadGenerator generator(folder.path(), duration_s);
   const SharedCounts counts(folder / "counts");
-  const std::unique_ptr<Gromad> gromad = start_gromad(folder, generator);
+  const std::unique_ptr<Gromad> gromad = start_gromad(folder, generator, more_config);
   PoseClient client(await_port(*gromad), static_cast<std::size_t>(duration_s * LoadGenerator::kOdometry_hz));
   if (!generator.await_reader(kPatience_s))
     throw std::runtime_error("gromad reads nothing: " + gromad->log());

@@ -16,11 +16,12 @@ struct Measurement {
   double duration_s = 0.0;               // of the load, with the warm-up
   std::vector<double> timer_delays_s;    // wake-up delays of an idle thread's timer
   std::vector<double> pose_latencies_s;  // from the write of an odometry sample's last byte to its POSE
-  std::vector<double> write_delays_s;    // of the load
-  double cpu_share = 0.0;                // of a core
-  double early_s = 0.0;                  // when memory was measured first
-  double early_mib = 0.0;                // resident memory
-  double late_mib = 0.0;                 // at the end
+  std::vector<std::int64_t> odometry_written_ns;  // of all samples (CLOCK_MONOTONIC)
+  std::vector<double> write_delays_s;             // of the load
+  double cpu_share = 0.0;                         // of a core
+  double early_s = 0.0;                           // when memory was measured first
+  double early_mib = 0.0;                         // resident memory
+  double late_mib = 0.0;                          // at the end
 
   std::uint64_t overflows = 0;  // of ports and socket: the load itself lost bytes
   std::uint64_t reports_lost = 0;
@@ -43,8 +44,9 @@ struct Measurement {
   std::string log;
 };
 
-// Throws std::runtime_error, with gromad's log, if it does not run to the end.
-[[nodiscard]] Measurement measure(double duration_s);
+// more_config: keys that are added to gromad's configuration. Throws std::runtime_error, with gromad's log,
+// if it does not run to the end.
+[[nodiscard]] Measurement measure(double duration_s, const std::string& more_config = "");
 
 // One row of the table.
 struct Row {
@@ -54,6 +56,8 @@ struct Row {
   bool met = true;
   bool of_times = false;  // depends on the machine and its other load
 };
+// The smallest value that is not below this share of all.
+[[nodiscard]] double percentile(std::vector<double> values, double share);
 [[nodiscard]] std::vector<Row> judge(const Measurement& of);
 [[nodiscard]] std::string format_table(const std::vector<Row>& rows);
 

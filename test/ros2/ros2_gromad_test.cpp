@@ -18,6 +18,22 @@ namespace {
 
 using testing::HasSubstr;
 
+// The hash covers names, order and types of all fields: it is that of ROS 2 only if our definitions are.
+TEST(TypeHash, IsThatOfTheDefinition) {
+  const groma::test::TemporaryFolder folder;
+  for (const char* type :
+       {"diagnostic_msgs/msg/DiagnosticArray", "geometry_msgs/msg/PoseWithCovarianceStamped",
+        "nav_msgs/msg/Odometry", "rmw_dds_common/msg/ParticipantEntitiesInfo", "sensor_msgs/msg/Imu",
+        "sensor_msgs/msg/NavSatFix", "tf2_msgs/msg/TFMessage", "visualization_msgs/msg/MarkerArray"}) {
+    const std::string definition = folder.write("definition", ros2::schema_of(type)).string();
+    const groma::test::ChildResult result = groma::test::run_child(
+        {"/bin/sh", "-c",
+         "python3 " GROMA_SOURCE_DIR "/test/ros2/type_hash.py " + std::string(type) + " < " + definition});
+    EXPECT_EQ(result.exit_code, 0) << result.err;
+    EXPECT_EQ(result.out, std::string(dds::type_hash(type)) + '\n') << type;
+  }
+}
+
 TEST_F(Ros2Test, PublishesWhatThePoseStreamHas) {
   SimulatedSite site(folder_.path(), kSpeed);
   set_clock(site);
@@ -132,6 +148,45 @@ TEST_F(Ros2Test, StartsAgainAtAnInitialPose) {
     return false;
   };
   ASSERT_TRUE(run_with(peer, site, gromad, moved)) << "at the wrong place, as it was asked\n" << gromad.log();
+}
+
+// As when NTP sets the computer's clock: the timestamps of all messages step.
+TEST_F(Ros2Test, AClockStepMovesNoPose) {
+  SimulatedSite site(folder_.path(), kSpeed);
+  set_clock(site);
+  write_surveyed(site);
+  Peer peer(14, "default", {writes("/odom", "nav_msgs/msg/Odometry")});
+  send_by(peer, site);
+  Gromad gromad({"--config", ros2_config("{domain_id: 14}", false)});
+  ASSERT_TRUE(run_with(peer, site, gromad, [&] { return poses("TRACKING") >= 100; })) << gromad.log();
+  for (const double step_s : {1.0, -1.0, 3600.0, -3600.0}) {
+    SCOPED_TRACE(step_s);
+    const std::size_t before = objects_.size();
+    site.robot_clock_s += step_s;
+    ASSERT_TRUE(run_with(peer, site, gromad, [&] {
+      return objects_.size() >= before + 150 && objects_.back().at("class") == "POSE" &&
+             objects_.back().at("state") == "TRACKING";
+    })) << gromad.log();
+    // On the circle, at the time that the pose has: of the old clock, then of the new one.
+    bool is_new = false;
+    std::size_t changes = 0;
+    for (std::size_t i = before; i < objects_.size(); ++i) {
+      const json& pose = objects_[i];
+      if (pose.at("class") != "POSE") continue;
+      const double site_s = pose.at("t_s").get<double>() - site.robot_clock_s;
+      const bool fits_new = std::abs(site_s - SimulatedSite::kRobotOrigin_s - site.site_time_s()) < 10.0;
+      const bool fits = std::abs(step_s) > 20.0 ? fits_new : is_new || fits_new;
+      if (fits != is_new) ++changes;
+      is_new = fits;
+      if (std::abs(step_s) < 20.0) continue;
+      const auto truth = SimulatedSite::truth(fits ? site_s : site_s + step_s);
+      EXPECT_LT(
+          std::hypot(pose.at("x_m").get<double>() - truth.x_m, pose.at("y_m").get<double>() - truth.y_m),
+          0.3);
+    }
+    EXPECT_LE(changes, 1U);
+  }
+  EXPECT_EQ(gromad.log().find("starting again"), std::string::npos) << gromad.log();
 }
 
 // Samples that a broken or hostile node sends are refused, and poses go on.
