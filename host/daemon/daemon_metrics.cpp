@@ -257,6 +257,11 @@ void Daemon::add_outputs(MetricsText& text) const {
             {"refused", stream.refused},
             {"disconnected", stream.disconnected},
             {"too_slow", stream.too_slow}});
+  if (ros2_ != nullptr) {
+    const Ros2Counters ros2 = ros2_->counters();
+    add_each(text, "groma_ros2_messages_total", "Messages of ROS 2, by what became of them.", "event",
+             {{"taken", ros2.lines}, {"refused", ros2.refused}, {"left_out", ros2.left_out}});
+  }
   const WebCounters& web = web_server_->counters();
   add_each(text, "groma_web_clients_total", "Clients of the web server, by what became of them.", "event",
            {{"accepted", web.accepted}, {"refused", web.refused}, {"timed_out", web.timed_out}});

@@ -144,6 +144,11 @@ class Ros2::State {
     return bytes + lines_.pop(out.data() + bytes, out.size() - bytes);
   }
 
+  [[nodiscard]] Ros2Counters counters() {
+    const std::lock_guard lock(mutex_);
+    return {lines_taken_, refused_, poses_left_out_ + lines_left_out_ + node_.refused()};
+  }
+
   // What a user should know of, since the last call.
   std::string take_news() {
     std::string news;
@@ -190,6 +195,7 @@ class Ros2::State {
     const std::string line = input_.take(kind, cdr);
     {
       const std::lock_guard lock(mutex_);
+      lines_taken_ = input_.counters().lines;
       refused_ = input_.counters().refused;
       problem_ = input_.last_problem();
     }
@@ -275,6 +281,7 @@ class Ros2::State {
   std::atomic<std::uint64_t> lines_left_out_ = 0;
   std::mutex mutex_;  // of the following
   std::optional<model::Calibration> next_calibration_;
+  std::uint64_t lines_taken_ = 0;
   std::uint64_t refused_ = 0;
   std::string problem_;
   std::string time_problem_;
@@ -327,8 +334,8 @@ Ros2::Opened Ros2::open(const Ros2Settings& settings, std::span<const model::Tag
   }
 }
 
-std::string Ros2::link_name(const Ros2Settings& settings) {
-  return fmt::format("ros2:{}", settings.domain_id);
+Ros2Counters Ros2::counters() const {
+  return state_->counters();
 }
 
 std::unique_ptr<link::ByteLink> Ros2::make_link() {

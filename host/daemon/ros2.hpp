@@ -1,6 +1,8 @@
 // ROS 2: the poses as topics, and what the robot publishes as one of its links.
 #pragma once
 
+#include <cstddef>
+#include <cstdint>
 #include <memory>
 #include <span>
 #include <string>
@@ -12,6 +14,12 @@
 #include "host/model/types.hpp"
 
 namespace groma::daemon {
+
+struct Ros2Counters {
+  std::uint64_t lines = 0;     // of the robot's messages
+  std::uint64_t refused = 0;   // messages of the robot
+  std::uint64_t left_out = 0;  // poses and messages, for lack of room
+};
 
 class Ros2 : public Output {
  public:
@@ -26,9 +34,13 @@ class Ros2 : public Output {
   ~Ros2() override;
 
   // "ros2:DOMAIN", the name of the link.
-  [[nodiscard]] static std::string link_name(const Ros2Settings& settings);
+  [[nodiscard]] static std::string link_name(const Ros2Settings& settings) {
+    return "ros2:" + std::to_string(settings.domain_id);
+  }
   // The link of the robot's messages: lines of robot_input.hpp. Valid as long as this.
   [[nodiscard]] std::unique_ptr<link::ByteLink> make_link();
+
+  [[nodiscard]] Ros2Counters counters() const;
 
   // Without the heap.
   void on_pose(const PoseEstimate& pose, std::string_view line) override;

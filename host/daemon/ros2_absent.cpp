@@ -16,8 +16,8 @@ Ros2::Opened Ros2::open(const Ros2Settings& /*settings*/, std::span<const model:
        "'ros2' from the configuration"}};
 }
 
-std::string Ros2::link_name(const Ros2Settings& /*settings*/) {
-  return "ros2";
+Ros2Counters Ros2::counters() const {
+  return {};
 }
 std::unique_ptr<link::ByteLink> Ros2::make_link() {
   return nullptr;

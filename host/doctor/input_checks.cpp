@@ -18,6 +18,7 @@
 #include <nlohmann/json.hpp>
 
 #include "host/daemon/robot_input.hpp"
+#include "host/daemon/ros2.hpp"
 #include "host/doctor/advice.hpp"
 #include "host/doctor/doctor.hpp"
 
@@ -44,6 +45,7 @@ std::string robot_name(const daemon::Config& config) {
   if (!config.robot_socket.empty()) names.push_back(config.robot_socket.string());
   for (const std::filesystem::path& listen : config.robot_listen) names.push_back(listen.string());
   if (config.robot_can) names.push_back("can:" + config.robot_can->interface);
+  if (config.ros2) names.push_back(daemon::Ros2::link_name(*config.ros2));
   return fmt::format("{}", fmt::join(names, ", "));
 }
 

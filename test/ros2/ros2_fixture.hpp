@@ -121,16 +121,30 @@ class Ros2Test : public GromadTest {
     return out.message();
   }
 
-  // The site's odometry goes to /odom of the peer instead of the socket.
-  static void send_by(Peer& peer, SimulatedSite& site) {
+  static std::string imu_message(double t_s, double omega_radps) {
+    ros2::CdrWriter out;
+    ros2::put_header(out, t_s, "imu_link");
+    ros2::put_quaternion(out, {0.0, 0.0, 0.0, 1.0});
+    for (int i = 0; i < 9; ++i) out.put(i == 0 ? -1.0 : 0.0);
+    ros2::put_vector(out, {0.0, 0.0, omega_radps});
+    for (int i = 0; i < 9; ++i) out.put(i % 4 == 0 ? 1e-4 : 0.0);
+    ros2::put_vector(out, {0.0, 0.0, 9.81});
+    for (int i = 0; i < 9; ++i) out.put(i % 4 == 0 ? 0.01 : 0.0);
+    return out.message();
+  }
+
+  // The site's odometry goes to /odom of the peer instead of the socket. wheels: scale of the yaw rate that
+  // it claims; if it is not 1, the peer's /imu has the true one.
+  static void send_by(Peer& peer, SimulatedSite& site, double wheels = 1.0) {
     site.pose_priors = false;
-    site.on_lines = [&peer, &site](double t_s, const std::string& lines) {
+    site.on_lines = [&peer, &site, wheels](double t_s, const std::string& lines) {
       const json sample = json::parse(lines);
+      const double omega_radps = sample.at("omega_radps");
+      if (wheels != 1.0) peer.write("rt/imu", imu_message(t_s, omega_radps));
       // In odom the circle is turned and moved against the map.
       const auto truth = SimulatedSite::truth(t_s - site.robot_clock_s);
-      peer.write("rt/odom",
-                 odometry_message({t_s, sample.at("vx_mps"), sample.at("omega_radps"), truth.y_m - 2.0,
-                                   -truth.x_m, truth.yaw_rad - 0.5 * 3.14159265358979}));
+      peer.write("rt/odom", odometry_message({t_s, sample.at("vx_mps"), wheels * omega_radps, truth.y_m - 2.0,
+                                              -truth.x_m, truth.yaw_rad - 0.5 * 3.14159265358979}));
       return std::string();
     };
   }
