@@ -5,6 +5,7 @@
 #include <optional>
 
 #include "host/daemon/measurement_sink.hpp"
+#include "host/daemon/session.hpp"
 #include "host/model/odom_frame.hpp"
 #include "host/model/state_archive.hpp"
 
@@ -20,10 +21,10 @@ class OdomWatch : public MeasurementSink {
   void on_clock_set() override { integrated_.forget_time(); }
   void on_clock_step(double step_s, bool /*found_late*/) override { integrated_.shift_time(step_s); }
 
-  // At t_s; none if the newest odometry sample is of another time. given: what it had as "odom".
-  [[nodiscard]] std::optional<model::OdomPose> at(double t_s,
-                                                  const std::optional<model::OdomPose>& given) const {
-    const std::optional<model::OdomPose> newest = given ? given : integrated_.pose();
+  // At t_s; none if the newest odometry sample is of another time.
+  [[nodiscard]] std::optional<model::OdomPose> at(double t_s, const Session& session) const {
+    if (session.gives_odom()) return session.odom_pose(t_s);
+    const std::optional<model::OdomPose> newest = integrated_.pose();
     constexpr double kSame_s = 1e-6;
     return newest && std::abs(newest->t_s - t_s) < kSame_s ? newest : std::nullopt;
   }

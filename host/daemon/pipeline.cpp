@@ -115,7 +115,7 @@ void Pipeline::take_pose(const PoseEstimate& pose) {
   pose_state_ = state;
   last_pose_s_ = now_s_;
   PoseEstimate with_odom = pose;
-  with_odom.odom = odom_.at(pose.t_s, session_.odom_pose());
+  with_odom.odom = odom_.at(pose.t_s, session_);
   on_pose_(with_odom);
   if (!changed) return;
   const std::string_view reason = filter::reason_name(pose.reason);

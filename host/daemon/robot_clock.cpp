@@ -81,6 +81,7 @@ bool RobotClock::suspected() const noexcept {
 }
 
 Timestamp RobotClock::judge(double t_s, double now_s) noexcept {
+  if (!std::isfinite(t_s) || !fits(t_s)) step_run_ = {};
   if (!std::isfinite(t_s)) return Timestamp::kWrong;
   const std::optional<double> expected_s = robot_time_s(now_s);
   if (!fits(t_s)) return judge_far(t_s, now_s, t_s - expected_s.value_or(0.0));

@@ -129,17 +129,23 @@ std::string Ros2Input::line_of(Ros2Kind kind, std::string_view cdr) {
   return {};
 }
 
-std::string Ros2Input::odometry_line(const Fields& fields) const {
+std::string Ros2Input::odometry_line(const Fields& fields) {
   fields.expect_frame("header.frame_id", settings_.odom_frame, "set ros2: odom_frame to it");
   fields.expect_frame("child_frame_id", settings_.base_frame, "set ros2: base_frame to it");
   const Eigen::Vector3d position_m = fields.vector("pose.pose.position");
   const Eigen::Quaterniond turned = fields.quaternion("pose.pose.orientation");
+  const Eigen::Vector3d velocity(fields.number("twist.twist.linear.x"), fields.number("twist.twist.linear.y"),
+                                 fields.number("twist.twist.angular.z"));
+  // A robot whose wheels slip has a twist; one without any in its messages would seem to be stationary.
+  constexpr double kMoved_m = 0.5;
+  still_m_ = velocity.isZero(0.0) ? still_m_.value_or(position_m) : std::optional<Eigen::Vector3d>();
+  if (still_m_ && (position_m - *still_m_).norm() > kMoved_m)
+    throw Refused("its pose moves, but its twist is zero; its publisher has to fill in the twist");
   return fmt::format(
       "{{\"class\":\"ODOMETRY\",\"t_s\":{},\"vx_mps\":{},\"vy_mps\":{},\"omega_radps\":{},"
       "\"odom\":[{},{},{},{},{},{},{}]}}\n",
-      fields.timestamp_s(), fields.number("twist.twist.linear.x"), fields.number("twist.twist.linear.y"),
-      fields.number("twist.twist.angular.z"), position_m.x(), position_m.y(), position_m.z(), turned.x(),
-      turned.y(), turned.z(), turned.w());
+      fields.timestamp_s(), velocity.x(), velocity.y(), velocity.z(), position_m.x(), position_m.y(),
+      position_m.z(), turned.x(), turned.y(), turned.z(), turned.w());
 }
 
 std::string Ros2Input::imu_line(const Fields& fields) {

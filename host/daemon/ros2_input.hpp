@@ -4,8 +4,12 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <string_view>
+#include <utility>
+
+#include <Eigen/Core>
 
 #include "host/daemon/ros2_settings.hpp"
 #include "host/ros2/message.hpp"
@@ -44,7 +48,7 @@ class Ros2Input {
   class Fields;
 
   [[nodiscard]] std::string line_of(Ros2Kind kind, std::string_view cdr);
-  [[nodiscard]] std::string odometry_line(const Fields& fields) const;
+  [[nodiscard]] std::string odometry_line(const Fields& fields);
   [[nodiscard]] static std::string imu_line(const Fields& fields);
   [[nodiscard]] std::string fix_line(const Fields& fields);
   [[nodiscard]] std::string pose_line(const Fields& fields, bool is_initial) const;
@@ -52,6 +56,7 @@ class Ros2Input {
   Ros2Settings settings_;
   std::string map_frame_ = "map";
   std::array<ros2::MessageDefinition, kRos2Kinds> definitions_;
+  std::optional<Eigen::Vector3d> still_m_;  // odometry's pose since its twist is zero
   Counters counters_;
   std::string last_problem_;
 };

@@ -92,7 +92,10 @@ void Session::robot_bytes(std::span<const std::uint8_t> bytes, double now_s, std
   RobotInput& input = robot_input(robot);
   input.push(bytes);
   while (const auto message = input.next()) {
-    if (std::holds_alternative<model::OdometrySample>(*message)) odom_ = input.odom_pose();
+    if (std::holds_alternative<model::OdometrySample>(*message)) {
+      gives_odom_ = input.odom_pose().has_value();
+      if (gives_odom_) odoms_.at(next_odom_++ % odoms_.size()) = *input.odom_pose();
+    }
     std::visit([&](const auto& sample) { take(sample, now_s); }, *message);
   }
   const std::uint64_t dropped = robot_counters().dropped();
@@ -138,6 +141,14 @@ void Session::flush() {
     passed_until_s_ = std::max(t_s, passed_until_s_.value_or(t_s));
     deliver_first();
   }
+}
+
+std::optional<model::OdomPose> Session::odom_pose(double t_s) const noexcept {
+  constexpr double kSame_s = 1e-6;
+  for (std::size_t i = 0; i < std::min(next_odom_, odoms_.size()); ++i) {
+    if (std::abs(odoms_[i].t_s - t_s) < kSame_s) return odoms_[i];
+  }
+  return std::nullopt;
 }
 
 std::optional<TimestampFault> Session::timestamp_fault(double now_s) const {

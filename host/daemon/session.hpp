@@ -148,8 +148,9 @@ class Session {
   // Passes on all waiting measurements, at the end of a drive.
   void flush();
 
-  // What the newest odometry sample had as "odom"; none: it had none.
-  [[nodiscard]] const std::optional<model::OdomPose>& odom_pose() const noexcept { return odom_; }
+  // Whether the newest odometry sample had "odom"; and what that of this time had, if it is a recent one.
+  [[nodiscard]] bool gives_odom() const noexcept { return gives_odom_; }
+  [[nodiscard]] std::optional<model::OdomPose> odom_pose(double t_s) const noexcept;
   // Host time to robot time; nothing before the first odometry.
   [[nodiscard]] std::optional<double> robot_time_s(double host_s) const {
     return robot_clock_.robot_time_s(host_s);
@@ -172,9 +173,10 @@ class Session {
   // Of a session with the same nodes and configuration. Sinks are not part of it.
   void archive(model::StateArchive& state) {
     for (Node& node : nodes_) state(node);
-    state(robots_, odom_, robot_lines_dropped_, robot_clock_, range_clock_, merger_, last_odometry_s_,
-          pose_times_, initial_times_, sensor_times_, times_suspect_, timestamps_dropped_, dropped_since_s_,
-          drop_reported_, next_late_report_s_, waiting_, serial_, now_s_, passed_until_s_, counters_);
+    state(robots_, odoms_, next_odom_, gives_odom_, robot_lines_dropped_, robot_clock_, range_clock_, merger_,
+          last_odometry_s_, suspended_, pose_times_, initial_times_, sensor_times_, times_suspect_,
+          timestamps_dropped_, dropped_since_s_, drop_reported_, next_late_report_s_, waiting_, serial_,
+          now_s_, passed_until_s_, counters_);
   }
 
  private:
@@ -252,7 +254,9 @@ class Session {
   SessionConfig config_;
   std::deque<Node> nodes_;
   std::deque<RobotInput> robots_;
-  std::optional<model::OdomPose> odom_;
+  std::array<model::OdomPose, 32> odoms_{};  // the last ones; merged samples have the time of an earlier one
+  std::size_t next_odom_ = 0;
+  bool gives_odom_ = false;
   LogDoubling robot_lines_dropped_;
   RobotClock robot_clock_;
   model::ClockError range_clock_;

@@ -234,16 +234,20 @@ class Node::State {
       std::uint64_t ignored = 0;
       static_cast<void>(!::read(wake_fd_.get(), &ignored, sizeof(ignored)));
       if (asked_.exchange(false) && setup_.on_wake) setup_.on_wake();
-      for (std::size_t i = 0; i < readers_.size(); ++i) take_all(i, cdr);
+      for (std::size_t i = 0; i < readers_.size(); ++i) take_some(i, cdr);
     }
   }
 
-  void take_all(std::size_t input, std::string& cdr) {
+  // A few at a time: a flood of messages must not hold up what is written.
+  void take_some(std::size_t input, std::string& cdr) {
+    constexpr int kMost = 32;
     void* sample = &cdr;
     dds_sample_info_t info{};
-    while (!stopped_ && dds_take(readers_[input], &sample, &info, 1, 1) == 1) {
+    for (int i = 0; i < kMost; ++i) {
+      if (dds_take(readers_[input], &sample, &info, 1, 1) != 1) return;
       if (info.valid_data && setup_.on_message) setup_.on_message(input, cdr);
     }
+    wake_by(wake_fd_.get());
   }
 
   Setup setup_;

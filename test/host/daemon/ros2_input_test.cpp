@@ -29,15 +29,17 @@ struct Odometry {
   double vx_mps = 0.5;
   double yaw_rad = 0.4;
   double norm = 1.0;  // of the quaternion
+  double x_m = 3.0;
+  bool has_twist = true;
 
   [[nodiscard]] std::string message() const {
     ros2::CdrWriter out;
     ros2::put_header(out, t_s, frame);
     out.put(child);
     ros2::put_pose(
-        out, {{3.0, -4.0, 0.1}, {0.0, 0.0, norm * std::sin(0.5 * yaw_rad), norm * std::cos(0.5 * yaw_rad)}});
+        out, {{x_m, -4.0, 0.1}, {0.0, 0.0, norm * std::sin(0.5 * yaw_rad), norm * std::cos(0.5 * yaw_rad)}});
     ros2::put_covariance(out, ros2::Covariance::Identity());
-    for (const double part : {vx_mps, 0.25, 0.0, 0.0, 0.0, -0.125}) out.put(part);
+    for (const double part : {vx_mps, 0.25, 0.0, 0.0, 0.0, -0.125}) out.put(has_twist ? part : 0.0);
     ros2::put_covariance(out, ros2::Covariance::Identity());
     return out.message();
   }
@@ -131,6 +133,16 @@ TEST_F(Ros2InputTest, RefusesOdometryThatIsWrong) {
   EXPECT_LT(input_.last_problem().size(), 500U);
   expect_refused(Ros2Kind::kOdometry, imu_message(0.1), "its bytes are no such message");
   expect_refused(Ros2Kind::kOdometry, "", "its bytes are no such message");
+}
+
+TEST_F(Ros2InputTest, OdometryWithoutATwistIsNamed) {
+  for (const double x_m : {0.0, 0.2, 0.4})
+    EXPECT_TRUE(read(Ros2Kind::kOdometry, Odometry{.x_m = x_m, .has_twist = false}.message()));
+  expect_refused(Ros2Kind::kOdometry, Odometry{.x_m = 0.6, .has_twist = false}.message(),
+                 "has to fill in the twist");
+  EXPECT_TRUE(read(Ros2Kind::kOdometry, Odometry{.x_m = 0.8}.message()));
+  EXPECT_TRUE(read(Ros2Kind::kOdometry, Odometry{.x_m = 1.0, .has_twist = false}.message()))
+      << "it has stopped";
 }
 
 TEST_F(Ros2InputTest, ImuHasAYawRate) {

@@ -299,6 +299,55 @@ TEST(Session, OneAbsurdTimestampDoesNoHarm) {
   }
 }
 
+// While three samples show that the clock was set, an absurd one comes: it is neither used nor does it hide
+// the step.
+TEST(Session, AnAbsurdTimestampWithinAClockStepDoesNoHarm) {
+  for (const double absurd_s : {0.0, 1e18, -1e300}) {
+    Site site;
+    for (int i = 0; i < 100; ++i) {
+      const double host_s = 10.0 + 0.02 * i;
+      if (i == 50) site.robot_offset_s += 3600.0;
+      site.odometry(host_s);
+      if (i == 50 || i == 51) site.odometry(host_s + 0.001, absurd_s);
+      site.session.advance(host_s);
+    }
+    site.session.flush();
+    EXPECT_EQ(site.session.counters().robot_clock_set, 1U);
+    EXPECT_EQ(site.session.counters().robot_time_wrong, 2U + 2U)
+        << "the absurd ones, and what they interrupted";
+    EXPECT_EQ(site.sink.odometry.size(), 98U);
+  }
+}
+
+TEST(Session, HasThePoseInOdomOfMergedSamples) {
+  Session session;
+  struct Sink : MeasurementSink {
+    void on_odometry(const model::OdometrySample& /*sample*/) override {}
+    void on_range(const model::RangeSample& /*range*/) override {}
+    void on_pose_prior(const model::PoseSample& /*pose*/) override {}
+    void on_odometry_ahead(const model::OdometrySample& sample) override { times_s.push_back(sample.t_s); }
+    void on_clock_set() override {}
+    std::vector<double> times_s;
+  } sink;
+  session.attach(sink);
+  std::size_t found = 0;
+  for (int i = 0; i < 500; ++i) {
+    const double t_s = 100.0 + 0.002 * i;
+    const std::string line = fmt::format(
+        "{{\"class\":\"ODOMETRY\",\"t_s\":{},\"vx_mps\":1,\"vy_mps\":0,\"omega_radps\":0,\"odom\":[{},0,0,0,"
+        "0,0,1]}}\n",
+        t_s, t_s);
+    session.robot_bytes({reinterpret_cast<const std::uint8_t*>(line.data()), line.size()}, t_s);
+    for (; found < sink.times_s.size(); ++found) {
+      const auto odom = session.odom_pose(sink.times_s[found]);
+      ASSERT_TRUE(odom) << sink.times_s[found];
+      EXPECT_NEAR(odom->pose.position_m.x(), sink.times_s[found], 1e-9);
+    }
+  }
+  EXPECT_GT(found, 100U);
+  EXPECT_TRUE(session.gives_odom());
+}
+
 TEST(Session, FollowsARobotThatRestarts) {
   for (const double new_offset_s : {-12.0, 3e9}) {
     std::vector<std::string> lines;
