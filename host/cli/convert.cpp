@@ -18,6 +18,7 @@
 #include "host/cli/terminal.hpp"
 #include "host/cli/warnings.hpp"
 #include "host/daemon/capture.hpp"
+#include "host/daemon/ros2_status.hpp"
 #include "host/filter/replay.hpp"
 #include "host/io/error.hpp"
 #include "host/io/input_file.hpp"
@@ -58,28 +59,17 @@ convert::Converted convert_with_estimates(const ConvertOptions& options, Warning
                        {.dataset = &drive.dataset, .calibration = &drive.calibration, .result = &result});
 }
 
-convert::Estimate estimate_of(const daemon::PoseEstimate& pose) {
-  return {.t_s = pose.t_s,
-          .pose = {{pose.x_m, pose.y_m, pose.z_m}, pose.quaternion},
-          .roll_rad = pose.roll_rad,
-          .pitch_rad = pose.pitch_rad,
-          .yaw_rad = pose.yaw_rad,
-          .covariance = pose.covariance,
-          .state = pose.state,
-          .reason = pose.reason,
-          .velocity = pose.velocity,
-          .velocity_covariance = pose.velocity_covariance,
-          .odom = pose.odom};
-}
-
 // The poses that gromad sent, if the input is a capture.
 void add_sent(const ConvertOptions& options, convert::Recording& recording, Warnings& warnings) {
   const std::filesystem::path& path = options.input.dataset();
   if (!std::filesystem::is_regular_file(path)) return;
   const daemon::StreamReplay replay = daemon::replay_stream(
       io::read_file(path), options.input.selection().section(),
-      {.on_pose = [&](const daemon::PoseEstimate& pose,
-                      std::string_view) { recording.sent.push_back(estimate_of(pose)); },
+      {.on_pose =
+           [&](const daemon::PoseEstimate& pose, std::string_view) {
+             recording.sent.push_back(
+                 {daemon::localization_of(pose), pose.roll_rad, pose.pitch_rad, pose.yaw_rad});
+           },
        .on_calibration =
            [&](const model::Calibration& calibration) { recording.used.push_back(calibration); }});
   const auto is_foreign = [](const daemon::ReplayedSection& section) { return !section.is_of_this_build; };

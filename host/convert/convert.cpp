@@ -54,7 +54,7 @@ class Timeline {
     add(Event::Source::kOdometry, std::span(dataset.odometry), time_of);
     if (recording.result != nullptr)
       add(Event::Source::kEstimate, std::span(recording.result->rows), time_of);
-    add(Event::Source::kSent, std::span(recording.sent), time_of);
+    add(Event::Source::kSent, std::span(recording.sent), [](const Estimate& sent) { return sent.at.t_s; });
     std::stable_sort(events_.begin(), events_.end(),
                      [](const Event& a, const Event& b) { return a.t_s < b.t_s; });
   }
@@ -108,16 +108,17 @@ Estimate estimate_of(const filter::ReplayResult& result, std::size_t row,
                      const model::OdometrySample& odometry, const model::OdometryNoise& noise) {
   const model::PlanarEstimate& planar = result.rows[row];
   const model::SpatialEstimate& spatial = result.spatial[row];
-  return {.t_s = planar.t_s,
-          .pose = {{planar.x_m, planar.y_m, spatial.z_m}, spatial.quaternion},
+  return {.at = {.t_s = planar.t_s,
+                 .pose = {{planar.x_m, planar.y_m, spatial.z_m}, spatial.quaternion},
+                 .covariance = spatial.covariance,
+                 .velocity = velocity_of(odometry),
+                 .velocity_covariance = covariance_of(noise),
+                 .odom = std::nullopt,
+                 .state = result.states[row].state,
+                 .reason = result.states[row].reason},
           .roll_rad = spatial.roll_rad,
           .pitch_rad = spatial.pitch_rad,
-          .yaw_rad = planar.yaw_rad,
-          .covariance = spatial.covariance,
-          .state = result.states[row].state,
-          .reason = result.states[row].reason,
-          .velocity = velocity_of(odometry),
-          .velocity_covariance = covariance_of(noise)};
+          .yaw_rad = planar.yaw_rad};
 }
 
 void put(const model::SensorSample& sample, const model::Surface& surface, Encoder& encoder) {
@@ -161,7 +162,7 @@ void put_all(const Recording& recording, std::span<const model::SensorSample> se
         break;
       case Event::Source::kEstimate: {
         Estimate estimate = estimate_of(*recording.result, i, odometry, dataset.odometry_noise);
-        estimate.odom = odom.pose();
+        estimate.at.odom = odom.pose();
         encoder.put(estimate);
         break;
       }

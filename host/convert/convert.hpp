@@ -4,35 +4,22 @@
 #include <cstddef>
 #include <cstdint>
 #include <limits>
-#include <optional>
 #include <string>
 #include <vector>
 
-#include <Eigen/Core>
-
 #include "host/filter/replay.hpp"
-#include "host/filter/tracker.hpp"
 #include "host/io/dataset.hpp"
 #include "host/model/calibration.hpp"
-#include "host/model/odom_frame.hpp"
-#include "host/model/pose.hpp"
-#include "host/model/types.hpp"
+#include "host/ros2/messages.hpp"
 
 namespace groma::convert {
 
 // An estimate, at the time of an odometry sample.
 struct Estimate {
-  double t_s = 0.0;
-  model::QuaternionPose pose;
+  ros2::Localization at;
   double roll_rad = 0.0;
   double pitch_rad = 0.0;
-  double yaw_rad = 0.0;                                                          // the heading on the surface
-  Eigen::Matrix<double, 6, 6> covariance = Eigen::Matrix<double, 6, 6>::Zero();  // x, y, z, roll, pitch, yaw
-  filter::State state = filter::State::kUninitialized;
-  filter::Reason reason = filter::Reason::kNone;
-  Eigen::Vector3d velocity = Eigen::Vector3d::Zero();  // vx, vy and yaw rate; NaN: unknown
-  Eigen::Matrix3d velocity_covariance = Eigen::Matrix3d::Zero();
-  std::optional<model::OdomPose> odom;  // none: no transforms of ROS 2
+  double yaw_rad = 0.0;  // the heading on the surface
 };
 
 struct Recording {

@@ -114,14 +114,14 @@ std::string robot_entity(double t_s, std::span<const model::Tag> tags) {
 }
 
 std::string ellipse_entity(const Estimate& estimate, std::string_view frame) {
-  const Eigen::SelfAdjointEigenSolver<Eigen::Matrix2d> axes(estimate.covariance.topLeftCorner<2, 2>());
+  const Eigen::SelfAdjointEigenSolver<Eigen::Matrix2d> axes(estimate.at.covariance.topLeftCorner<2, 2>());
   const Eigen::Vector2d size_m = 2.0 * (kEllipseChi2 * axes.eigenvalues().cwiseMax(0.0)).cwiseSqrt();
   const double angle_rad = std::atan2(axes.eigenvectors()(1, 0), axes.eigenvectors()(0, 0));
   const Eigen::Matrix3d turn = model::rotation_from_zyx(angle_rad, 0.0, 0.0);
-  return in_frame(estimate.t_s, frame)
+  return in_frame(estimate.at.t_s, frame)
       .bytes(3, "uncertainty")
       .bytes(10, ProtoWriter()
-                     .bytes(1, pose({estimate.pose.position_m, model::quaternion_of(turn)}))
+                     .bytes(1, pose({estimate.at.pose.position_m, model::quaternion_of(turn)}))
                      .bytes(2, vector3(Eigen::Vector3d(size_m.x(), size_m.y(), kEllipseHeight_m)))
                      .number(3, 1.0)
                      .number(4, 1.0)
@@ -209,14 +209,14 @@ class FoxgloveEncoder final : public Encoder {
   }
 
   void put(const Estimate& estimate) override {
-    const double t_s = estimate.t_s;
+    const double t_s = estimate.at.t_s;
     write("/tf", "foxglove.FrameTransform", t_s,
           in_frame(t_s, site_.frame)
               .bytes(3, kBaseFrame)
-              .bytes(4, vector3(estimate.pose.position_m))
-              .bytes(5, quaternion(estimate.pose.quaternion))
+              .bytes(4, vector3(estimate.at.pose.position_m))
+              .bytes(5, quaternion(estimate.at.pose.quaternion))
               .message());
-    write_pose("/groma/pose", t_s, estimate.pose);
+    write_pose("/groma/pose", t_s, estimate.at.pose);
     write_estimate(estimate);
     if (ros2::to_ns(t_s) >= next_ellipse_ns_) {
       next_ellipse_ns_ = ros2::to_ns(t_s) + kEllipseInterval_ns;
@@ -240,27 +240,27 @@ class FoxgloveEncoder final : public Encoder {
   }
 
   void write_estimate(const Estimate& estimate) {
-    ProtoWriter out = in_frame(estimate.t_s, site_.frame);
-    const Eigen::Vector3d& at_m = estimate.pose.position_m;
+    ProtoWriter out = in_frame(estimate.at.t_s, site_.frame);
+    const Eigen::Vector3d& at_m = estimate.at.pose.position_m;
     out.number(3, at_m.x()).number(4, at_m.y()).number(5, at_m.z());
     out.number(6, estimate.roll_rad).number(7, estimate.pitch_rad).number(8, estimate.yaw_rad);
     // Symmetric: the order of rows and columns does not matter.
-    out.numbers(9, {estimate.covariance.data(), static_cast<std::size_t>(estimate.covariance.size())});
-    out.bytes(10, filter::state_name(estimate.state)).bytes(11, filter::reason_name(estimate.reason));
-    write("/groma/estimate", "groma_msgs.Estimate", estimate.t_s, out.message());
+    out.numbers(9, {estimate.at.covariance.data(), static_cast<std::size_t>(estimate.at.covariance.size())});
+    out.bytes(10, filter::state_name(estimate.at.state)).bytes(11, filter::reason_name(estimate.at.reason));
+    write("/groma/estimate", "groma_msgs.Estimate", estimate.at.t_s, out.message());
   }
 
   // A line of the log where the state or its reason changes.
   void write_change(const Estimate& estimate) {
-    if (is_logged_ && estimate.state == state_ && estimate.reason == reason_) return;
+    if (is_logged_ && estimate.at.state == state_ && estimate.at.reason == reason_) return;
     is_logged_ = true;
-    state_ = estimate.state;
-    reason_ = estimate.reason;
+    state_ = estimate.at.state;
+    reason_ = estimate.at.reason;
     std::string text(filter::state_name(state_));
     if (reason_ != filter::Reason::kNone) text += fmt::format(": {}", filter::reason_name(reason_));
     ProtoWriter out;
-    out.bytes(1, timestamp(estimate.t_s)).integer(2, log_level(state_)).bytes(3, text).bytes(4, "groma");
-    write("/groma/log", "foxglove.Log", estimate.t_s, out.message());
+    out.bytes(1, timestamp(estimate.at.t_s)).integer(2, log_level(state_)).bytes(3, text).bytes(4, "groma");
+    write("/groma/log", "foxglove.Log", estimate.at.t_s, out.message());
   }
 
   Site site_;

@@ -102,17 +102,8 @@ class Ros2Encoder final : public Encoder {
   }
 
   void put(const Estimate& estimate) override {
-    messages_.put({.t_s = estimate.t_s,
-                   .pose = estimate.pose,
-                   .covariance = estimate.covariance,
-                   .velocity = estimate.velocity,
-                   .velocity_covariance = estimate.velocity_covariance,
-                   .odom = estimate.odom,
-                   .state = estimate.state,
-                   .reason = estimate.reason},
-                  [this](std::string_view topic, std::string_view type, double t_s, std::string_view cdr) {
-                    write(topic, type, t_s, cdr);
-                  });
+    messages_.put(estimate.at, [this](std::string_view topic, std::string_view type, double t_s,
+                                      std::string_view cdr) { write(topic, type, t_s, cdr); });
   }
 
  protected:

@@ -89,17 +89,6 @@ double unix_time_s() {
   return std::chrono::duration<double>(std::chrono::system_clock::now().time_since_epoch()).count();
 }
 
-ros2::Localization localization_of(const PoseEstimate& pose) {
-  return {.t_s = pose.t_s,
-          .pose = {{pose.x_m, pose.y_m, pose.z_m}, pose.quaternion},
-          .covariance = pose.covariance,
-          .velocity = pose.velocity,
-          .velocity_covariance = pose.velocity_covariance,
-          .odom = pose.odom,
-          .state = pose.state,
-          .reason = pose.reason};
-}
-
 }  // namespace
 
 class Ros2::State {

@@ -55,6 +55,17 @@ Diagnostic link_of(const Json& link) {
 
 }  // namespace
 
+ros2::Localization localization_of(const PoseEstimate& pose) {
+  return {.t_s = pose.t_s,
+          .pose = {{pose.x_m, pose.y_m, pose.z_m}, pose.quaternion},
+          .covariance = pose.covariance,
+          .velocity = pose.velocity,
+          .velocity_covariance = pose.velocity_covariance,
+          .odom = pose.odom,
+          .state = pose.state,
+          .reason = pose.reason};
+}
+
 std::vector<Diagnostic> diagnostics_of(const Json& status) {
   std::vector<Diagnostic> out{diagnosis_of(status.at("diagnosis"))};
   for (const Json& link : status.at("links")) out.push_back(link_of(link));

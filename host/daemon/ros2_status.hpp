@@ -1,4 +1,4 @@
-// A STATUS line of the pose stream for ROS 2.
+// A pose, and a STATUS line of the pose stream, for ROS 2.
 #pragma once
 
 #include <map>
@@ -8,12 +8,15 @@
 
 #include <nlohmann/json_fwd.hpp>
 
+#include "host/daemon/localizer.hpp"
 #include "host/model/calibration.hpp"
 #include "host/model/pose.hpp"
 #include "host/model/types.hpp"
 #include "host/ros2/messages.hpp"
 
 namespace groma::daemon {
+
+[[nodiscard]] ros2::Localization localization_of(const PoseEstimate& pose);
 
 // Findings, links and anchors.
 [[nodiscard]] std::vector<ros2::Diagnostic> diagnostics_of(const nlohmann::ordered_json& status);

@@ -3,7 +3,6 @@
 
 #include <algorithm>
 #include <chrono>
-#include <cstdlib>
 #include <filesystem>
 #include <fstream>
 #include <iterator>
@@ -259,9 +258,8 @@ TEST_F(Ros2Test, FindsAPeerThatStartsAgain) {
   const auto start = [] { return std::make_unique<Peer>(12, "default", all_readers()); };
   auto peer = start();
   Gromad gromad({"--config", ros2_config("{domain_id: 12}")});
-  const int restarts =
-      std::getenv("GROMA_RESTARTS") != nullptr ? std::atoi(std::getenv("GROMA_RESTARTS")) : 2;
-  for (int i = 0; i < restarts; ++i) {
+  constexpr int kRestarts = 2;
+  for (int i = 0; i < kRestarts; ++i) {
     ASSERT_TRUE(run_with(
         *peer, site, gromad,
         [&] { return peer->of("rt/groma/pose").size() >= 20 && !peer->of("rt/groma/anchors").empty(); }))
