@@ -179,11 +179,8 @@ void FilterInput::expect_finite(std::span<const model::PlanarEstimate> rows,
   }
 }
 
-std::vector<diagnosis::Finding> FilterInput::diagnose(const Drive& drive, Warnings& warnings) {
-  std::vector<diagnosis::Finding> findings =
-      diagnosis::diagnose(diagnosis::data_of(drive.dataset), drive.calibration);
-  for (const diagnosis::Finding& finding : findings) warnings.add(finding);
-  return findings;
+std::vector<diagnosis::Finding> FilterInput::diagnose(const Drive& drive) {
+  return diagnosis::diagnose(diagnosis::data_of(drive.dataset), drive.calibration);
 }
 
 std::optional<diagnosis::Finding> FilterInput::warn_of_mismatch(const filter::ReplayResult& result,

@@ -56,8 +56,8 @@ class FilterInput {
   // Throws DataError, which names the odometry sample, if a pose or covariance is not finite.
   void expect_finite(std::span<const model::PlanarEstimate> rows,
                      std::span<const model::SpatialEstimate> spatial = {}) const;
-  // The mistakes that ranges, odometry and calibration show, each with a warning.
-  static std::vector<diagnosis::Finding> diagnose(const Drive& drive, Warnings& warnings);
+  // The mistakes that ranges, odometry and calibration show. From any thread.
+  [[nodiscard]] static std::vector<diagnosis::Finding> diagnose(const Drive& drive);
   // Warns if the ranges contradict the calibration, and returns the finding.
   static std::optional<diagnosis::Finding> warn_of_mismatch(const filter::ReplayResult& result,
                                                             Warnings& warnings);

@@ -76,7 +76,8 @@ int run(const SmoothOptions& options) {
   FilterInput::Drive drive = options.input.read("smooth", FilterInput::StartIs::kNeeded, warnings);
   drive.options.config.model = *filter::model_from_name(options.model);
   filter::set_unknown_delays(drive.options.config);
-  const std::vector<diagnosis::Finding> findings = FilterInput::diagnose(drive, warnings);
+  const std::vector<diagnosis::Finding> findings = FilterInput::diagnose(drive);
+  for (const diagnosis::Finding& finding : findings) warnings.add(finding);
   if (options.fix) fix_clock(findings, drive.dataset.ranges, warnings);
   const smoother::Result result = smoother::smooth(drive.run(), drive.options);
   try {
