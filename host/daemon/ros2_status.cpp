@@ -16,7 +16,7 @@ namespace {
 using Json = nlohmann::ordered_json;
 using ros2::Diagnostic;
 
-enum Level : std::uint8_t { kOk = 0, kWarn = 1, kError = 2 };
+enum Level : std::uint8_t { kOk = 0, kError = 2 };
 
 std::string text_of(const Json& value) {
   return value.is_string() ? value.get<std::string>() : value.dump();

@@ -1,7 +1,6 @@
 // A pose, and a STATUS line of the pose stream, for ROS 2.
 #pragma once
 
-#include <map>
 #include <span>
 #include <string_view>
 #include <vector>

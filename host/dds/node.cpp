@@ -10,8 +10,7 @@
 #include <array>
 #include <atomic>
 #include <cstdlib>
-#include <cstring>
-#include <mutex>
+#include <memory>
 #include <span>
 #include <stdexcept>
 #include <string>
@@ -38,7 +37,8 @@ constexpr std::string_view kParticipantTopic = "ros_discovery_info";
 constexpr std::size_t kGidHumble = 24;
 constexpr std::size_t kGid = 16;
 
-// Of the definitions in github.com/ros2 (rosidl_generator_type_description); test/host/dds recomputes them.
+// Of the definitions in github.com/ros2 (rosidl_generator_type_description); test/ros2/type_hash.py
+// recomputes them.
 struct TypeHash {
   std::string_view type;
   std::string_view hash;
@@ -142,12 +142,6 @@ class Node::State {
   }
 
   [[nodiscard]] std::uint64_t refused() const noexcept { return refused_; }
-
-  [[nodiscard]] std::size_t readers(std::size_t output) const {
-    dds_publication_matched_status_t status{};
-    if (dds_get_publication_matched_status(writers_.at(output), &status) != DDS_RETCODE_OK) return 0;
-    return status.current_count;
-  }
 
  private:
   dds_entity_t expect(dds_entity_t result, std::string_view what) const {
@@ -273,9 +267,6 @@ void Node::write(std::size_t output, std::string_view cdr) {
 }
 std::uint64_t Node::refused() const noexcept {
   return state_->refused();
-}
-std::size_t Node::readers(std::size_t output) const {
-  return state_->readers(output);
 }
 
 }  // namespace groma::dds

@@ -57,8 +57,6 @@ class Node {
 
   // Of all outputs: messages that DDS refused.
   [[nodiscard]] std::uint64_t refused() const noexcept;
-  // Readers of other programs at an output.
-  [[nodiscard]] std::size_t readers(std::size_t output) const;
 
  private:
   class State;
