@@ -1,5 +1,5 @@
 // Serves the built page and plays a site at /live, for work on the page without gromad:
-//   npm run build && npm run dev -- [--port 4722] [--state tour|TRACKING|DEGRADED:tag-silent|...] [--history 600] [--silent]
+//   npm run build && npm run dev -- [--port 4722] [--state tour|LEARNING|TRACKING|DEGRADED:tag-silent|...] [--history 600] [--silent]
 //   npm run dev -- --stream FILE    plays lines of the pose stream instead (of `nc` to gromad), on the synthetic site's map
 // --silent: accepts no WebSocket, as while gromad is down.
 import { createReadStream } from "node:fs";

@@ -41,13 +41,15 @@ const noise = (t_s, seed) => Math.sin(1.7 * t_s + 12.9 * seed) * Math.sin(0.31 *
 const kStatusOnly = ["UNINITIALIZED", "CALIBRATION_DRIVE", "CALIBRATING", "WAITING_FOR_ODOMETRY", "ODOMETRY_TIMES_WRONG"];
 
 export class Site {
-  // state: as in a pose, with a reason after a colon (DEGRADED:tag-silent); "tour" changes it as a real drive would.
+  // state: as in a pose, with a reason after a colon (DEGRADED:tag-silent); "tour" changes it as a real drive would;
+  // "LEARNING" tracks while anchors are calibrated.
   constructor({ state = "tour" } = {}) {
     [this.state, this.reason = null] = state.split(":");
-    this.learns = state.startsWith("CALIBRATION_DRIVE") || state === "tour";
+    this.learns = ["tour", "LEARNING"].includes(this.state);
   }
 
   at(t_s) {
+    if (this.state === "LEARNING") return { state: "TRACKING", reason: null };
     if (this.state !== "tour") return { state: this.state, reason: this.reason };
     const phase_s = t_s % 240;
     if (phase_s < 4) return { state: "CONVERGING", reason: null };
@@ -110,7 +112,7 @@ export class Site {
   // null: there is no pose in this state.
   pose(t_s) {
     const { state, reason } = this.at(t_s);
-    if (kStatusOnly.includes(state) && state !== "CALIBRATION_DRIVE") return null;
+    if (kStatusOnly.includes(state)) return null;
     const { x_m, y_m, yaw_rad } = way(t_s);
     const s = { TRACKING: 0.014, CONVERGING: 0.3, DEGRADED: 0.12, LOST: 1.4 }[state] ?? 0.02;
     const sigma_m = s * (1 + 0.3 * noise(t_s, 1));
@@ -120,7 +122,7 @@ export class Site {
     covariance[7] = 0.5 * sigma_m ** 2;
     covariance[35] = 0.003 ** 2;
     return {
-      class: "POSE", t_s, frame: "map", model: "schmidt", state: state === "CALIBRATION_DRIVE" ? "TRACKING" : state, reason,
+      class: "POSE", t_s, frame: "map", model: "schmidt", state, reason,
       x_m: x_m + sigma_m * noise(t_s, 2), y_m: y_m + sigma_m * noise(t_s, 3), z_m: 0, roll_rad: 0, pitch_rad: 0, yaw_rad, covariance,
       quaternion: [0, 0, Math.sin(yaw_rad / 2), Math.cos(yaw_rad / 2)], child_frame: "base_link",
       twist: { vx_mps: kSpeed_mps, vy_mps: 0, omega_radps: 0, covariance: new Array(36).fill(null) },
@@ -167,7 +169,7 @@ export class Site {
     }));
     const has_odometry = state !== "WAITING_FOR_ODOMETRY" && reason !== "no-odometry";
     return {
-      class: "STATUS", state, odometry: has_odometry ? Math.round(50 * t_s) : 4000, ranges: has_ranges ? Math.round((1440 + 30 * noise(t_s / 20, 5)) * t_s) : 500000, frames_lost: 2, dropped: Math.round(28 * t_s),
+      class: "STATUS", state, odometry: has_odometry ? Math.round(50 * t_s) : 4000, ranges: has_ranges ? Math.round(1440 * t_s + 900 * Math.sin(t_s / 7)) : 500000, frames_lost: 2, dropped: Math.round(28 * t_s),
       links, robot: { link: "robot.sock", open: has_odometry, error: has_odometry ? null : "connection refused" }, diagnosis: this.diagnosis(state, reason),
       t_s: state === "WAITING_FOR_ODOMETRY" ? null : t_s, driven_m: kSpeed_mps * t_s, turned_rad: 0.1 * t_s, pose_latency_s: { p50: 0.0002, p99: 0.0005 },
       anchors: kAnchors.map(({ id }) => ({ id, verdict: this.verdict(id, t_s) })), pairs: has_ranges ? pairs.filter((pair) => pair.tag !== silent) : [],

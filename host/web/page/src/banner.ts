@@ -4,6 +4,9 @@ import type { Notice, Words } from "./states";
 
 export class Banner {
   readonly element: HTMLElement;
+  // Which moment is shown, if it is not now.
+  private readonly moment = h("span", { class: "moment" });
+  private readonly back: HTMLButtonElement;
   private readonly title = h("h2", { class: "state" });
   private readonly code = h("span", { class: "code" });
   private readonly meaning = h("span", { class: "meaning" });
@@ -11,10 +14,20 @@ export class Banner {
   private readonly notices = h("ul", { class: "notices" });
   private notices_shown = "";
 
-  constructor(private readonly announcement: HTMLElement) {
+  constructor(
+    private readonly announcement: HTMLElement,
+    back_to_live: () => void,
+  ) {
+    this.back = h("button", { type: "button", class: "back", click: back_to_live }, "Back to live");
     const sign = h("span", { class: "sign", "aria-hidden": "true" });
     const text = h("div", { class: "state-text" }, h("div", { class: "state-line" }, this.title, this.code), h("p", {}, this.meaning, " ", this.remedy));
-    this.element = h("section", { class: "banner", "aria-label": "State" }, h("div", { class: "headline" }, sign, text), this.notices);
+    this.element = h("section", { class: "banner", "aria-label": "State" }, h("div", { class: "headline" }, sign, text, h("div", { class: "when" }, this.moment, this.back)), this.notices);
+  }
+
+  show_moment(text: string, is_live: boolean): void {
+    set_text(this.moment, text);
+    this.moment.hidden = text === "";
+    this.back.hidden = is_live;
   }
 
   show(words: Words, code: string, notices: Notice[]): void {
@@ -28,7 +41,7 @@ export class Banner {
       this.notices_shown = shown;
       this.notices.replaceChildren(
         ...notices.map(({ tone, title, text, remedy }) =>
-          h("li", { "data-tone": tone }, h("strong", {}, title), h("p", {}, text), h("p", { class: "remedy" }, remedy)),
+          h("li", { "data-tone": tone }, h("strong", {}, title), h("p", {}, text, " ", h("span", { class: "remedy" }, remedy))),
         ),
       );
     }

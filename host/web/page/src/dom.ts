@@ -39,7 +39,7 @@ export class DataTable<Row> {
   readonly element: HTMLElement;
   private readonly body = h("tbody");
   private readonly headers: HTMLElement[] = [];
-  private readonly rows = new Map<string, { element: HTMLTableRowElement; cells: HTMLElement[] }>();
+  private readonly rows = new Map<string, { element: HTMLTableRowElement; cells: HTMLElement[]; note: HTMLTableRowElement | null }>();
   private readonly empty: HTMLElement;
   private data: Row[] = [];
   private sorted_by = -1;
@@ -52,6 +52,7 @@ export class DataTable<Row> {
     private readonly key: (row: Row) => string,
     empty: string,
     private readonly pick?: { label: (row: Row) => string; select: (row: Row) => void; is_selected: (row: Row) => boolean },
+    private readonly note?: (row: Row) => string, // a line of its own below the row; empty: none
   ) {
     const header = h("tr");
     columns.forEach((column, index) => {
@@ -80,15 +81,22 @@ export class DataTable<Row> {
         if (column.tone) set_attribute(cell, "class", [column.words ? "words" : "", column.tone(row)].join(" ").trim() || null);
         if (column.mark) set_attribute(cell.firstElementChild!, "class", `mark ${column.mark(row)}`);
       });
+      if (shown.note) {
+        const note = this.note!(row);
+        set_text(shown.note.firstElementChild!, note);
+        shown.note.hidden = note === "";
+        set_attribute(shown.note, "class", `note${this.pick?.is_selected(row) ? " selected" : ""}`);
+      }
       if (this.pick) {
         set_attribute(shown.element, "class", this.pick.is_selected(row) ? "selected" : null);
         set_attribute(shown.cells[0]!.lastElementChild!, "aria-pressed", String(this.pick.is_selected(row)));
         set_attribute(shown.cells[0]!.lastElementChild!, "aria-label", this.pick.label(row));
       }
     }
-    for (const [key, { element }] of this.rows) {
+    for (const [key, { element, note }] of this.rows) {
       if (seen.has(key)) continue;
       element.remove();
+      note?.remove();
       this.rows.delete(key);
     }
     this.arrange();
@@ -109,7 +117,8 @@ export class DataTable<Row> {
       }
       return cell;
     });
-    const added = { element: h("tr", {}, ...cells), cells };
+    const note = this.note ? h("tr", { class: "note" }, h("td", { colspan: this.columns.length })) : null;
+    const added = { element: h("tr", {}, ...cells), cells, note };
     this.rows.set(key, added);
     return added;
   }
@@ -132,7 +141,10 @@ export class DataTable<Row> {
     this.order_on_screen = wanted;
     // Moving a row would take the focus from its button.
     const focused = document.activeElement instanceof HTMLElement && this.body.contains(document.activeElement) ? document.activeElement : null;
-    this.body.append(...keys.map((key) => this.rows.get(key)!.element));
+    for (const key of keys) {
+      const { element, note } = this.rows.get(key)!;
+      this.body.append(element, ...(note ? [note] : []));
+    }
     focused?.focus({ preventScroll: true });
   }
 }

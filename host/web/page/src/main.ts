@@ -61,7 +61,7 @@ function refresh(): void {
 }
 
 const theme = new Theme(by_id<HTMLButtonElement>("theme"), () => refresh());
-const banner = new Banner(by_id("announcement"));
+const banner = new Banner(by_id("announcement"), () => back_to_live());
 by_id("banner").replaceWith(banner.element);
 
 const map = new MapView(by_id<HTMLCanvasElement>("map"), theme, {
@@ -187,7 +187,9 @@ function show_state(moment: Moment): void {
     banner.show(connection.state === "closed" ? kNotConnected : kConnecting, "", []);
   } else if (state) {
     const code = state.reason === "" ? state.state : `${state.state} ${state.reason}`;
-    banner.show(state_words(state.state, state.reason), code, notices_of(moment));
+    const words = state_words(state.state, state.reason);
+    const notices = notices_of(moment);
+    banner.show(words.tone === "good" && notices.length > 0 ? { ...words, remedy: "See below." } : words, code, notices);
   } else {
     banner.show(recording ? kNoFile : kNoStatus, "", []);
   }
@@ -195,19 +197,11 @@ function show_state(moment: Moment): void {
   document.body.dataset.view = recording ? "file" : cursor_s === null ? "live" : "past";
   document.body.dataset.connection = connection.state;
   set_attribute(document.body, "data-stale", is_stale ? "" : null);
-  const age = by_id("age");
-  if (recording) {
-    const at_s = cursor_s ?? 0;
-    set_text(age, `Recording at ${duration(at_s)} of ${duration(newest_s())}`);
-  } else if (cursor_s !== null) {
-    set_text(age, `${duration(newest_s() - cursor_s)} ago`);
-  } else if (is_stale) {
-    set_text(age, `Data is ${duration(now_s() - connection.last_message_s)} old`);
-  } else {
-    set_text(age, "");
-  }
-  by_id("moment").hidden = age.textContent === "";
-  by_id("live").hidden = recording === null && cursor_s === null;
+  let when = "";
+  if (recording) when = `Recording, ${duration(cursor_s ?? 0)} of ${duration(newest_s())}`;
+  else if (cursor_s !== null) when = `${duration(newest_s() - cursor_s)} ago`;
+  else if (is_stale) when = `Data is ${duration(now_s() - connection.last_message_s)} old`;
+  banner.show_moment(when, is_live_view);
   by_id("player").hidden = recording === null;
   set_text(by_id("play"), is_playing ? "Pause" : "Play");
   timeline.describe(cursor_s, recording === null, state?.state ?? "no state");
@@ -222,7 +216,7 @@ function show_head(): void {
   by_id("simulated").hidden = site?.simulated !== true;
   const link = { open: "connected", connecting: "connecting", closed: "not connected" }[connection.state];
   set_text(by_id("connection"), recording ? "recording" : link);
-  set_text(by_id("version"), live.version);
+  set_text(by_id("version"), recording ? "" : live.version);
 }
 
 // Live messages.
@@ -312,7 +306,6 @@ by_id("whole").addEventListener("click", () => map.whole_site());
 by_id("links").addEventListener("click", toggle_links);
 by_id("closer").addEventListener("click", () => map.zoom(1.4));
 by_id("farther").addEventListener("click", () => map.zoom(1 / 1.4));
-by_id("live").addEventListener("click", back_to_live);
 by_id("play").addEventListener("click", () => play(!is_playing));
 
 const kKeys: Record<string, () => void> = {

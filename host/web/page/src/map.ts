@@ -320,12 +320,16 @@ export class MapView {
       context.textAlign = "center";
       context.fillText(String(order + 1), x, y - 17.5);
       context.textAlign = "left";
-      const label = order === 0 ? `Drive here next (anchor ${anchor.id})` : `Anchor ${anchor.id}`;
+      const is_narrow = camera.width_px < 560;
+      if (is_narrow && order > 0) return;
+      const label = order > 0 ? `Anchor ${anchor.id}` : is_narrow ? "Drive here next" : `Drive here next (anchor ${anchor.id})`;
+      const width_px = context.measureText(label).width;
+      const left_px = x + 13 + width_px < camera.width_px ? x + 13 : x - 13 - width_px;
       context.strokeStyle = colours.card;
       context.lineWidth = 4;
-      context.strokeText(label, x + 13, y - 18);
+      context.strokeText(label, left_px, y - 18);
       context.fillStyle = colours.ink;
-      context.fillText(label, x + 13, y - 18);
+      context.fillText(label, left_px, y - 18);
     });
   }
 

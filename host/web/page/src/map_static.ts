@@ -167,7 +167,7 @@ function draw_labels(context: CanvasRenderingContext2D, camera: Camera, colours:
     const label = String(anchor.id);
     const half_px = context.measureText(label).width / 2 + 2;
     const [x, y] = at(anchor);
-    const off_px = kAnchor_px + (anchor.coverage < 1 ? 8 : 3);
+    const off_px = kAnchor_px + (anchor.id === selected ? 12 : anchor.coverage < 1 ? 8 : 3);
     const places = [
       [x + off_px + half_px, y],
       [x - off_px - half_px, y],

@@ -112,6 +112,7 @@ class Translator {
   private driven_m = 0;
   private turned_rad = 0;
   private odometry_s = NaN;
+  private twist = { vx_mps: NaN, vy_mps: NaN, omega_radps: NaN };
   private status_s = NaN;
   private last_s = 0;
   private anchors: { id: number; verdict: string }[] = [];
@@ -165,10 +166,12 @@ class Translator {
 
   private take_odometry(t_s: number, fields: Fields): void {
     this.odometry++;
+    this.twist = { vx_mps: fields.number(2), vy_mps: fields.number(3), omega_radps: fields.number(4) };
+    const { vx_mps, vy_mps, omega_radps } = this.twist;
     const elapsed_s = t_s - this.odometry_s;
     if (elapsed_s > 0 && elapsed_s < 1) {
-      this.driven_m += Math.hypot(fields.number(2), fields.number(3)) * elapsed_s;
-      this.turned_rad += Math.abs(fields.number(4)) * elapsed_s;
+      this.driven_m += Math.hypot(vx_mps, vy_mps) * elapsed_s;
+      this.turned_rad += Math.abs(omega_radps) * elapsed_s;
     }
     this.odometry_s = t_s;
   }
@@ -177,7 +180,7 @@ class Translator {
     this.state = fields.text(10);
     const [x_m, y_m, z_m, yaw_rad] = [3, 4, 5, 8].map((field) => fields.number(field)) as [number, number, number, number];
     const covariance = fields.doubles(9);
-    this.put({ class: "POSE", t_s, state: this.state, reason: fields.text(11), x_m, y_m, z_m, yaw_rad, covariance }, t_s);
+    this.put({ class: "POSE", t_s, state: this.state, reason: fields.text(11), x_m, y_m, z_m, yaw_rad, covariance, twist: this.twist }, t_s);
   }
 
   // Anchors are cubes with their verdict in a text, "12 weak"; tags are spheres of the robot, in the order of their ids.

@@ -44,7 +44,6 @@ export class Panels {
         { title: "Verdict", text: (a) => kVerdicts[a.verdict] ?? (a.verdict || kUnknown), order: (a) => a.verdict, words: true, tone: (a) => `tone-${symbol_of(a.verdict).colour}` },
         { title: "Sigma", hint: "Standard deviation of the position, the larger of x and y", text: (a) => length(a.sigma_m), order: (a) => a.sigma_m },
         { title: "Coverage", hint: "Share of the needed information", text: (a) => percent(a.coverage), order: (a) => a.coverage },
-        { title: "Advice", text: (a) => a.advice || kUnknown, words: true },
       ],
       (anchor) => String(anchor.id),
       "No anchor is calibrated yet.",
@@ -53,6 +52,7 @@ export class Panels {
         select: (anchor) => selection.set(selection.get() === anchor.id ? null : anchor.id),
         is_selected: (anchor) => selection.get() === anchor.id,
       },
+      (anchor) => anchor.advice,
     );
     this.pairs = new DataTable<Pair>(
       "Pairs of tag and anchor with a range in the last 5 s",
@@ -70,20 +70,20 @@ export class Panels {
     this.links = new DataTable<LinkRow>(
       "Links and nodes",
       [
-        { title: "Link", text: (l) => l.link.replace(/^.*\/(?=[^/]+$)/, ""), words: true, order: (l) => l.link, mark: (l) => (l.open ? "shape-circle tone-good" : "shape-cross tone-bad") },
-        { title: "State", text: (l) => (l.open ? "open" : l.error ?? "closed"), words: true, tone: (l) => (l.open ? "" : "tone-bad") },
-        { title: "Node", text: (l) => (l.is_robot ? "robot" : l.id === null ? kUnknown : `${l.role ?? "node"} ${l.id}`), order: (l) => l.id ?? NaN },
+        { title: "Node", text: link_name, order: link_name, mark: (l) => (l.open ? "shape-circle tone-good" : "shape-cross tone-bad") },
+        { title: "Link", text: (l) => (l.open ? "open" : "not open"), order: (l) => Number(l.open), tone: (l) => (l.open ? "" : "tone-bad") },
         { title: "Sync", text: (l) => l.sync ?? kUnknown, tone: (l) => (l.sync === null || l.sync === "locked" ? "" : "tone-warn") },
         { title: "Ranges/s", text: (l) => fixed(l.ranges_hz, 0), order: (l) => l.ranges_hz },
         { title: "Frames/s", text: (l) => fixed(l.frames_hz, 0), order: (l) => l.frames_hz },
         { title: "Damaged", hint: "Frames with errors since the start", text: (l) => count(l.frames_dropped), order: (l) => l.frames_dropped, tone: (l) => (l.frames_dropped > 0 ? "tone-warn" : "") },
-        { title: "Round trip", text: (l) => with_unit(1000 * l.round_trip_s, 2, "ms"), order: (l) => l.round_trip_s },
-        { title: "Version", text: (l) => l.version ?? kUnknown, words: true },
+        { title: "Delay", hint: "Round trip over the link", text: (l) => with_unit(1000 * l.round_trip_s, 1, "ms"), order: (l) => l.round_trip_s },
       ],
       (link) => `${link.is_robot} ${link.link}`,
       "No link is reported.",
+      undefined,
+      link_note,
     );
-    for (const name of ["Sigma", "x", "y", "Heading", "Speed", "Ranges", "Odometry", "Dropped", "Lost", "Latency", "Driven"]) this.add(this.figures, this.values, name);
+    for (const name of ["Sigma", "x", "y", "Heading", "Speed", "Driven", "Ranges", "Odometry", "Dropped", "Lost", "Latency p50 / p99"]) this.add(this.figures, this.values, name);
     const detail_list = h("dl", {});
     for (const name of ["Verdict", "Position", "95 % ellipse", "Calibration", "Coverage", "Ranges used", "Ranges now", "Drive to"]) this.add(detail_list, this.detail_values, name);
     const close = h("button", { type: "button", click: () => selection.set(null) }, "Close");
@@ -124,7 +124,7 @@ export class Panels {
     set("Dropped", with_unit(status?.dropped_hz ?? NaN, 0, "/s"));
     set("Lost", with_unit(status?.lost_hz ?? NaN, 0, "/s"));
     const [p50, p99] = [status?.latency_p50_s ?? NaN, status?.latency_p99_s ?? NaN].map((value) => fixed(1000 * value, 1));
-    set("Latency", p50 === kUnknown && p99 === kUnknown ? kUnknown : `${p50} / ${p99} ms`);
+    set("Latency p50 / p99", p50 === kUnknown && p99 === kUnknown ? kUnknown : `${p50} / ${p99} ms`);
     set("Driven", with_unit(status?.driven_m ?? NaN, 0, "m"));
   }
 
@@ -190,6 +190,16 @@ export class Panels {
 
 function log_line(line: LogLine): HTMLElement {
   return h("li", {}, h("time", {}, Number.isNaN(line.t_s) ? kUnknown : line.t_s > 1e8 ? new Date(1000 * line.t_s).toLocaleTimeString() : duration(line.t_s)), " ", line.text);
+}
+
+function link_name(link: LinkRow): string {
+  if (link.is_robot) return "robot";
+  return link.id === null ? "node ?" : `${link.role ?? "node"} ${link.id}`;
+}
+
+function link_note(link: LinkRow): string {
+  const discarded = link.bytes_discarded > 0 ? `${count(link.bytes_discarded)} bytes discarded` : null;
+  return [link.link, link.error, link.version && `version ${link.version}`, discarded].filter(Boolean).join("; ");
 }
 
 function tone_of(of: ReturnType<typeof quality>): string {

@@ -13,8 +13,8 @@ export class Slots {
   private shown = "";
 
   constructor() {
-    const titles = ["Tag", "Slot", "Anchors", "Hop", "Beacons missed", "Sync"];
-    const table = h("table", {}, h("caption", {}, "What each node reports of its network"), h("thead", {}, h("tr", {}, ...titles.map((title) => h("th", { scope: "col" }, title)))), this.body);
+    const titles = ["Node", "Slot", "Anchors", "Hop", "Missed", "Sync"];
+    const table = h("table", {}, h("caption", {}, "What each node reports: its slot, anchors that answer of those it knows, hops to the master, beacons missed"), h("thead", {}, h("tr", {}, ...titles.map((title) => h("th", { scope: "col" }, title)))), this.body);
     this.element.append(this.summary, this.bar, h("div", { class: "table" }, table));
   }
 
@@ -44,11 +44,13 @@ export class Slots {
     this.body.replaceChildren(
       ...nodes.map((node) => {
         const network = node.network;
-        const value = (of: number | null | undefined) => (network === null ? kNotReported : of == null ? kUnknown : String(of));
-        const slot = network && network.slot == null ? "none" : value(network?.slot);
-        const anchors = network?.answering == null && network?.candidates == null ? value(null) : `${network.answering ?? kUnknown} of ${network.candidates ?? kUnknown}`;
-        const cells = [slot, anchors, value(network?.hop), value(network?.beacons_missed), node.sync ?? kNotReported];
-        return h("tr", {}, h("th", { scope: "row" }, `${node.role ?? "node"} ${node.id}`), ...cells.map((cell) => h("td", {}, cell)));
+        const name = h("th", { scope: "row" }, `${node.role ?? "node"} ${node.id}`);
+        const sync = h("td", {}, node.sync ?? kNotReported);
+        if (network === null) return h("tr", {}, name, h("td", { colspan: 4 }, kNotReported), sync);
+        const value = (of: number | null | undefined) => (of == null ? kUnknown : String(of));
+        const anchors = network.answering == null && network.candidates == null ? kUnknown : `${value(network.answering)} of ${value(network.candidates)}`;
+        const cells = [network.slot == null ? "none" : String(network.slot), anchors, value(network.hop), value(network.beacons_missed)];
+        return h("tr", {}, name, ...cells.map((cell) => h("td", {}, cell)), sync);
       }),
     );
   }

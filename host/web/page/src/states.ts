@@ -135,14 +135,12 @@ export const kNoFile: Words = {
   meaning: "The recording has no estimate here.",
   remedy: "Move on in the time line; poses need groma convert with a calibration.",
 };
-export const kNoLink: Omit<Words, "tone"> = {
+export const kNoLink = {
   title: "No link to the node",
-  meaning: "The link is not open.",
   remedy: "Check the node's power, its cable and the path in the configuration; gromad opens the link again by itself.",
 };
-export const kNoRobotLink: Omit<Words, "tone"> = {
+export const kNoRobotLink = {
   title: "No link to the robot",
-  meaning: "The link over which odometry comes is not open.",
   remedy: "Start the robot's program, or check its address in the configuration; gromad connects again by itself.",
 };
 
@@ -167,11 +165,15 @@ export function state_words(state: string, reason: string): Words {
   return { tone: known.tone, title: `${known.title}: ${why.title}`, meaning: why.meaning, remedy: why.remedy };
 }
 
+// A pose has none of these.
+const kStatusOnly = new Set(["UNINITIALIZED", "CALIBRATION_DRIVE", "CALIBRATING", "WAITING_FOR_ODOMETRY", "ODOMETRY_TIMES_WRONG"]);
+
 // A pose is newer than the status most of the time, and alone has the reason. Without odometry there are no poses: then
 // the status has the state.
 export function state_of(moment: Moment): { state: string; reason: string } | null {
   const { pose, status } = moment;
   if (!status) return pose && { state: pose.state, reason: pose.reason };
+  if (kStatusOnly.has(status.state) && !(pose && pose.at_s > status.at_s + 2)) return { state: status.state, reason: "" };
   if (!pose || status.at_s > pose.at_s + 1) {
     if (status.state !== "DEGRADED") return { state: status.state, reason: "" };
     if (status.odometry_hz === 0) return { state: status.state, reason: "no-odometry" };
@@ -190,8 +192,8 @@ export interface Notice {
 // What to mend besides the state: links that are not open, and findings of the diagnosis.
 export function notices_of(moment: Moment): Notice[] {
   const out: Notice[] = [];
-  const closed = (words: Omit<Words, "tone">, link: { link: string; error: string | null }) =>
-    out.push({ tone: "bad", title: words.title, text: `${link.link}: ${link.error ?? words.meaning}`, remedy: words.remedy });
+  const closed = (words: { title: string; remedy: string }, link: { link: string; error: string | null }) =>
+    out.push({ tone: "bad", title: words.title, text: link.error ? `${link.link}: ${link.error}.` : `${link.link} is not open.`, remedy: words.remedy });
   for (const link of moment.status?.links ?? []) {
     if (!link.open) closed(kNoLink, link);
     if (link.radio_error !== null) {
@@ -200,8 +202,24 @@ export function notices_of(moment: Moment): Notice[] {
     }
   }
   for (const link of moment.status?.robots ?? []) if (!link.open) closed(kNoRobotLink, link);
+  out.push(...calibration_notice(moment));
   for (const finding of moment.status?.diagnosis ?? []) {
-    out.push({ tone: "warning", title: finding.cause.replace(/-/g, " "), text: finding.evidence, remedy: finding.remedy });
+    const [evidence, remedy] = [sentence(finding.evidence), sentence(finding.remedy)];
+    out.push({ tone: "warning", title: finding.cause.replace(/-/g, " "), text: evidence, remedy });
   }
   return out;
+}
+
+// While anchors are calibrated, the next thing to do is to drive where the least covered one asks for.
+function calibration_notice(moment: Moment): Notice[] {
+  const anchors = moment.calibration?.anchors ?? [];
+  const open = anchors.filter((anchor) => anchor.coverage < 1).sort((a, b) => a.coverage - b.coverage);
+  if (open.length === 0) return [];
+  const text = `${anchors.length - open.length} of ${anchors.length} anchors are covered.`;
+  const next = open.find((anchor) => anchor.advice !== "");
+  return [{ tone: "busy", title: "Calibrating while driving", text, remedy: next ? `Next, for anchor ${next.id}: ${next.advice}.` : "Drive on through the site." }];
+}
+
+function sentence(text: string): string {
+  return text === "" ? "" : text[0]!.toUpperCase() + text.slice(1) + (/[.!?]$/.test(text) ? "" : ".");
 }

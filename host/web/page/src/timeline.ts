@@ -31,6 +31,7 @@ export class Timeline {
   private height_px = 1;
   private begin_s = 0;
   private end_s = 1;
+  private has_data = false;
 
   constructor(
     private readonly canvas: HTMLCanvasElement,
@@ -96,8 +97,15 @@ export class Timeline {
       this.draw_bands(context, colours, model);
       this.draw_sigma(context, colours, model);
       this.draw_ranges(context, colours, model);
+      this.draw_axis(context, colours, is_live);
+    } else {
+      context.font = `13px ${kFont}`;
+      context.fillStyle = colours.soft;
+      context.textAlign = "center";
+      context.textBaseline = "middle";
+      context.fillText("No data yet", this.width_px / 2, this.height_px / 2);
     }
-    this.draw_axis(context, colours, is_live);
+    this.has_data = !Number.isNaN(oldest_s);
   }
 
   draw_cursor(at_s: number | null): void {
@@ -105,6 +113,7 @@ export class Timeline {
     context.setTransform(1, 0, 0, 1, 0, 0);
     context.clearRect(0, 0, this.canvas.width, this.canvas.height);
     context.drawImage(this.drawing, 0, 0);
+    if (!this.has_data) return;
     context.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
     const x = Math.round(this.to_px(at_s ?? this.end_s)) + 0.5;
     context.strokeStyle = context.fillStyle = at_s === null ? this.theme.colours.soft : this.theme.colours.ink;
@@ -137,8 +146,8 @@ export class Timeline {
   private draw_bands(context: CanvasRenderingContext2D, colours: Colours, model: Model): void {
     const fill = (from_s: number, to_s: number, state: string) => {
       const tone = kStates[state]?.tone ?? "warning";
-      const left = Math.max(kLeft_px, this.to_px(from_s));
-      const width = Math.max(1, this.to_px(to_s) - left);
+      const left = Math.round(Math.max(kLeft_px, this.to_px(from_s)));
+      const width = Math.max(1, Math.round(this.to_px(to_s)) - left);
       context.fillStyle = colours[kToneColour[tone]];
       // Height as well as colour: the lower the band, the worse the state.
       const share = { good: 1, busy: 0.6, warning: 0.6, bad: 0.35, idle: 0.2 }[tone];
@@ -154,8 +163,8 @@ export class Timeline {
       const at_s = i < poses.end() ? poses.number("at_s", i) : previous_s;
       const is_gap = at_s - previous_s > 2;
       if (i < poses.end() && !is_gap && poses.state(i) === poses.state(begin)) continue;
-      const left = this.to_px(poses.number("at_s", begin));
-      const right = this.to_px(is_gap ? previous_s : at_s);
+      const left = Math.round(this.to_px(poses.number("at_s", begin)));
+      const right = Math.round(this.to_px(is_gap ? previous_s : at_s));
       context.clearRect(left, kBand.top, right - left, kBand.height);
       fill(poses.number("at_s", begin), is_gap ? previous_s : at_s, poses.state(begin));
       begin = i;
@@ -222,7 +231,7 @@ export class Timeline {
     context.fillStyle = colours.soft;
     context.globalAlpha = 0.45;
     items.forEach((status, i) => {
-      if (!(status.ranges_hz > 0)) return;
+      if (!(status.ranges_hz > 0) || status.at_s <= this.begin_s) return;
       const left = i > 0 ? Math.max(items[i - 1]!.at_s, status.at_s - 5) : status.at_s - 2;
       // Whole pixels: bars that overlap, or leave a gap, would look like a pattern.
       const x = Math.round(Math.max(kLeft_px, this.to_px(left)));

@@ -83,6 +83,7 @@ test("a recording becomes a model with poses, anchors, tags, pairs and log", asy
   assert.ok(Math.abs(moment.pose!.x_m - 5) < 0.11, String(moment.pose!.x_m));
   assert.equal(moment.pose!.yaw_rad, 0.5);
   assert.deepEqual([moment.pose!.xx_m2, moment.pose!.xy_m2, moment.pose!.yy_m2, moment.pose!.yaw_rad2], [0, 1, 7, 35]);
+  assert.equal(moment.pose!.vx_mps, 0.8);
   assert.equal(model.moment(0.5).pose!.state, "CONVERGING");
   const [four, twelve] = anchors_of(moment);
   assert.deepEqual([four!.id, four!.verdict, four!.position_m], [4, "ok", [1, 2, 3]]);

@@ -61,6 +61,15 @@ test("the pose has the reason; without poses the status has the state", () => {
   assert.deepEqual(state_of(model.moment(null)), { state: "DEGRADED", reason: "no-odometry" });
 });
 
+test("a state that only STATUS has is shown beside poses", () => {
+  const model = new Model();
+  model.take(status("CALIBRATION_DRIVE"), 1);
+  model.take(pose(1, "TRACKING", null), 1.9);
+  assert.equal(state_of(model.moment(null))!.state, "CALIBRATION_DRIVE");
+  model.take(pose(3.5, "TRACKING", null), 3.5);
+  assert.equal(state_of(model.moment(null))!.state, "TRACKING");
+});
+
 test("links that are not open and findings are notices", () => {
   const model = new Model();
   model.take(
@@ -73,6 +82,17 @@ test("links that are not open and findings are notices", () => {
   );
   const notices = notices_of(model.moment(null));
   assert.deepEqual(notices.map((notice) => notice.title), ["No link to the node", "No link to the robot", "odometry scale"]);
-  assert.equal(notices[0]!.text, "ports/tag-1: the device is gone");
-  assert.equal(notices[2]!.remedy, "multiply");
+  assert.equal(notices[0]!.text, "ports/tag-1: the device is gone.");
+  assert.equal(notices[2]!.remedy, "Multiply.");
+});
+
+test("while anchors are calibrated, the least covered one says where to drive", () => {
+  const model = new Model();
+  const anchors = [{ id: 4, coverage: 1 }, { id: 5, coverage: 0.7, advice: "pass there" }, { id: 6, coverage: 0.2, advice: "turn here" }];
+  model.take({ class: "CALIBRATION", anchors }, 1);
+  const [notice] = notices_of(model.moment(null));
+  assert.equal(notice!.text, "1 of 3 anchors are covered.");
+  assert.equal(notice!.remedy, "Next, for anchor 6: turn here.");
+  model.take({ class: "CALIBRATION", anchors: [{ id: 4, coverage: 1 }] }, 2);
+  assert.deepEqual(notices_of(model.moment(null)), []);
 });
