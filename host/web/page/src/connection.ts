@@ -39,7 +39,7 @@ export class Connection {
   }
 
   private open(): void {
-    const socket = new WebSocket(this.url, "groma.live.v1");
+    const socket = new WebSocket(this.url);
     this.socket = socket;
     socket.onmessage = (event) => {
       if (this.socket !== socket || typeof event.data !== "string") return;

@@ -159,7 +159,8 @@ function frame(): void {
   }
   // A long history is still coming in: the rest waits until it is there.
   const is_loading = recording === null && live.history === "loading";
-  if (dirty.tables && !is_loading && now_ms - tables_ms >= kTables_ms) {
+  const tables_are_due = dirty.tables && !is_loading && now_ms - tables_ms >= kTables_ms;
+  if (tables_are_due) {
     dirty.tables = false;
     tables_ms = now_ms;
     panels.show_figures(moment);
@@ -167,7 +168,9 @@ function frame(): void {
     show_head();
   }
   const has_moved = drawn_cursor_s !== cursor_s;
-  if (dirty.timeline && !is_loading && now_ms - timeline_ms >= kTimeline_ms) {
+  // Not in one frame with the tables, unless a person waits for both.
+  const is_free = !tables_are_due || timeline_ms === -Infinity;
+  if (dirty.timeline && !is_loading && is_free && now_ms - timeline_ms >= kTimeline_ms) {
     dirty.timeline = false;
     timeline_ms = now_ms;
     timeline.draw_content(model(), newest_s(), recording === null);
@@ -177,6 +180,7 @@ function frame(): void {
     drawn_cursor_s = cursor_s;
     timeline.draw_cursor(cursor_s);
   }
+  if (!is_free && dirty.timeline) schedule();
 }
 
 function show_state(moment: Moment): void {
@@ -324,8 +328,8 @@ addEventListener("keydown", (event) => {
   if (event.ctrlKey || event.altKey || event.metaKey || target.closest("select, input")) return;
   if (event.key === "ArrowLeft" || event.key === "ArrowRight") {
     step((event.key === "ArrowLeft" ? -1 : 1) * (event.shiftKey ? 10 : 1));
-  } else if (event.key === " " && target.closest("button, summary")) {
-    return; // the key of the button
+  } else if (event.key === " " && (recording === null || target.closest("button, summary"))) {
+    return; // the key of the button, or of the page, which it scrolls
   } else {
     const action = kKeys[event.key.toLowerCase()] ?? kKeys[event.key];
     if (!action) return;

@@ -101,7 +101,8 @@ function topics_of(reader: McapIndexedReader): string[] {
 }
 
 function reason_of(error: unknown): string {
-  return (error instanceof Error ? error.message : String(error)).slice(0, 160);
+  const text = error instanceof Error ? error.message : String(error);
+  return text.replace(/\s*\[library=.*\]$/, "").slice(0, 160);
 }
 
 // Messages of the file to those of the live page. What STATUS has, and the file too, is counted here.

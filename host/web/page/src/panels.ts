@@ -9,6 +9,20 @@ import { symbol_of } from "./symbols";
 
 const kLogShown = 200;
 
+const kFigures: [name: string, hint: string][] = [
+  ["Sigma", "Standard deviation of the position in its worst direction"],
+  ["x", "Position of base_link in the map"],
+  ["y", "Position of base_link in the map"],
+  ["Heading", "From the map's x axis, positive to the left"],
+  ["Speed", "By odometry, corrected"],
+  ["Driven", "Path by odometry since gromad started"],
+  ["Ranges", "Passed on a second"],
+  ["Odometry", "Samples passed on a second"],
+  ["Dropped", "Ranges without a distance, and measurements that were late, malformed or implausible"],
+  ["Lost", "Reports lost in a node's queue or on its link"],
+  ["Latency p50 / p99", "From an odometry sample to its pose: half and 99 % of the poses take no longer"],
+];
+
 interface LinkRow extends Link {
   is_robot: boolean;
 }
@@ -71,11 +85,10 @@ export class Panels {
       "Links and nodes",
       [
         { title: "Node", text: link_name, order: link_name, mark: (l) => (l.open ? "shape-circle tone-good" : "shape-cross tone-bad") },
-        { title: "Link", text: (l) => (l.open ? "open" : "not open"), order: (l) => Number(l.open), tone: (l) => (l.open ? "" : "tone-bad") },
         { title: "Sync", text: (l) => l.sync ?? kUnknown, tone: (l) => (l.sync === null || l.sync === "locked" ? "" : "tone-warn") },
         { title: "Ranges/s", text: (l) => fixed(l.ranges_hz, 0), order: (l) => l.ranges_hz },
         { title: "Frames/s", text: (l) => fixed(l.frames_hz, 0), order: (l) => l.frames_hz },
-        { title: "Damaged", hint: "Frames with errors since the start", text: (l) => count(l.frames_dropped), order: (l) => l.frames_dropped, tone: (l) => (l.frames_dropped > 0 ? "tone-warn" : "") },
+        { title: "Errors", hint: "Damaged frames since the start", text: (l) => count(l.frames_dropped), order: (l) => l.frames_dropped, tone: (l) => (l.frames_dropped > 0 ? "tone-warn" : "") },
         { title: "Delay", hint: "Round trip over the link", text: (l) => with_unit(1000 * l.round_trip_s, 1, "ms"), order: (l) => l.round_trip_s },
       ],
       (link) => `${link.is_robot} ${link.link}`,
@@ -83,7 +96,7 @@ export class Panels {
       undefined,
       link_note,
     );
-    for (const name of ["Sigma", "x", "y", "Heading", "Speed", "Driven", "Ranges", "Odometry", "Dropped", "Lost", "Latency p50 / p99"]) this.add(this.figures, this.values, name);
+    for (const [name, hint] of kFigures) this.add(this.figures, this.values, name, hint);
     const detail_list = h("dl", {});
     for (const name of ["Verdict", "Position", "95 % ellipse", "Calibration", "Coverage", "Ranges used", "Ranges now", "Drive to"]) this.add(detail_list, this.detail_values, name);
     const close = h("button", { type: "button", click: () => selection.set(null) }, "Close");
@@ -104,10 +117,10 @@ export class Panels {
     );
   }
 
-  private add(list: HTMLElement, values: Map<string, HTMLElement>, name: string): void {
+  private add(list: HTMLElement, values: Map<string, HTMLElement>, name: string, hint: string | null = null): void {
     const value = h("dd", {}, kUnknown);
     values.set(name, value);
-    list.append(h("div", {}, h("dt", {}, name), value));
+    list.append(h("div", { title: hint }, h("dt", {}, name), value));
   }
 
   // The figures that follow each pose.
@@ -198,8 +211,10 @@ function link_name(link: LinkRow): string {
 }
 
 function link_note(link: LinkRow): string {
+  const radio = link.radio_error && `radio failed: ${link.radio_error}`;
   const discarded = link.bytes_discarded > 0 ? `${count(link.bytes_discarded)} bytes discarded` : null;
-  return [link.link, link.error, link.version && `version ${link.version}`, discarded].filter(Boolean).join("; ");
+  const state = link.open ? "open" : `not open${link.error ? `: ${link.error}` : ""}`;
+  return [`${link.link}: ${state}`, link.version && `version ${link.version}`, radio, discarded].filter(Boolean).join("; ");
 }
 
 function tone_of(of: ReturnType<typeof quality>): string {

@@ -1,6 +1,6 @@
 // What each state and each reason means, and what to do: all words of the banner in one table. The meanings are those of
 // docs/reference/gromad.md ("The pose stream"), the remedies those of host/doctor/advice.cpp.
-import type { Moment } from "./model";
+import { anchors_of, type Moment } from "./model";
 
 export type Tone = "good" | "busy" | "warning" | "bad" | "idle";
 
@@ -202,6 +202,11 @@ export function notices_of(moment: Moment): Notice[] {
     }
   }
   for (const link of moment.status?.robots ?? []) if (!link.open) closed(kNoRobotLink, link);
+  for (const anchor of anchors_of(moment)) {
+    if (anchor.verdict !== "moved" && anchor.state !== "moved") continue;
+    const text = "Its ranges contradict the position that the calibration has.";
+    out.push({ tone: "warning", title: `Anchor ${anchor.id} moved`, text, remedy: sentence(anchor.advice || "drive past it to calibrate its new position") });
+  }
   out.push(...calibration_notice(moment));
   for (const finding of moment.status?.diagnosis ?? []) {
     const [evidence, remedy] = [sentence(finding.evidence), sentence(finding.remedy)];

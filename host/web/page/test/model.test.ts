@@ -47,6 +47,35 @@ test("45 minutes leave ten in memory", () => {
   assert.ok(model.logs.items.length <= 300);
 });
 
+test("the memory of 45 minutes is bounded", () => {
+  // Parsed from text, as a browser gets it: 3 tags and 12 anchors, whose texts change all the time.
+  const text = (t_s: number) => {
+    const pairs = Array.from({ length: 36 }, (_, i) => ({ tag: i % 3, anchor: i % 12, ranges: t_s * 40, used: t_s * 38, gated: t_s, range_m: 5 + t_s / 7, innovation_m: 0.01 }));
+    const links = [1, 2, 3].map((id) => ({ link: `ports/tag-${id}`, open: true, frames: t_s * 50, ranges: t_s * 480, node: { id, role: "tag", version: "0.2.0", network: { slot: id, slots: 4 } } }));
+    return JSON.stringify({ ...status(t_s), pairs, links, diagnosis: [{ cause: "lever-arm", evidence: `tag 2 is ${t_s} m off`, remedy: "measure it" }] });
+  };
+  const anchors = (t_s: number) => Array.from({ length: 12 }, (_, id) => ({ id, coverage: 0.5, advice: `pass within ${t_s} m` }));
+  const bytes = () => {
+    for (let i = 0; i < 4; i++) (globalThis as unknown as { gc: () => void }).gc();
+    const { heapUsed, external } = process.memoryUsage();
+    return heapUsed + external;
+  };
+  const model = new Model();
+  const drive = (from_s: number, to_s: number) => {
+    for (let t_s = from_s; t_s < to_s; t_s++) {
+      for (let i = 0; i < 20; i++) model.take(JSON.parse(JSON.stringify(pose(t_s + i / 20))), t_s + i / 20);
+      model.take(JSON.parse(text(t_s)), t_s + 0.99);
+      model.take(JSON.parse(JSON.stringify({ class: "CALIBRATION", anchors: anchors(t_s) })), t_s + 0.99);
+    }
+  };
+  drive(0, 10);
+  const begin = bytes();
+  drive(10, 45 * 60);
+  const grown_mib = (bytes() - begin) / 2 ** 20;
+  assert.ok(grown_mib < 5, `${grown_mib} MiB`);
+  assert.ok(model.pose !== null);
+});
+
 test("the history comes before what is live, on one axis", () => {
   const model = new Model();
   model.take({ class: "HISTORY", state: "begin", messages: 3 }, 100);

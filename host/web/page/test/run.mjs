@@ -12,7 +12,7 @@ try {
   const names = readdirSync(folder).filter((name) => name.endsWith(".test.ts"));
   await build({ entryPoints: names.map((name) => join(folder, name)), outdir: output, bundle: true, platform: "node", format: "esm", target: "node18", outExtension: { ".js": ".mjs" }, logLevel: "warning" });
   const tests = readdirSync(output).map((name) => join(output, name));
-  const { status } = spawnSync(process.execPath, ["--test", ...tests], { stdio: "inherit", env: { ...process.env, GROMA_ROOT: join(folder, "../../../..") } });
+  const { status } = spawnSync(process.execPath, ["--expose-gc", "--test", ...tests], { stdio: "inherit", env: { ...process.env, GROMA_ROOT: join(folder, "../../../..") } });
   process.exitCode = status ?? 1;
 } finally {
   rmSync(output, { recursive: true });

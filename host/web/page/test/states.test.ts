@@ -86,6 +86,14 @@ test("links that are not open and findings are notices", () => {
   assert.equal(notices[2]!.remedy, "Multiply.");
 });
 
+test("an anchor that was moved is a notice", () => {
+  const model = new Model();
+  model.take(status("TRACKING", { anchors: [{ id: 4, verdict: "ok" }, { id: 5, verdict: "moved" }] }), 1);
+  const [notice, ...others] = notices_of(model.moment(null));
+  assert.equal(notice!.title, "Anchor 5 moved");
+  assert.deepEqual(others, []);
+});
+
 test("while anchors are calibrated, the least covered one says where to drive", () => {
   const model = new Model();
   const anchors = [{ id: 4, coverage: 1 }, { id: 5, coverage: 0.7, advice: "pass there" }, { id: 6, coverage: 0.2, advice: "turn here" }];
