@@ -157,7 +157,7 @@ function compare(a: number | string, b: number | string): number {
 }
 
 // Tabs per WAI-ARIA: arrow keys choose, Home and End go to the first and the last.
-export function tabs(label: string, entries: { name: string; content: HTMLElement }[], changed: (index: number) => void): HTMLElement {
+export function tabs(label: string, entries: { name: string; content: HTMLElement }[], changed: (index: number) => void) {
   const bar = h("div", { role: "tablist", "aria-label": label });
   const buttons = entries.map(({ name, content }, index) => {
     const id = `tab-${index}`;
@@ -187,5 +187,5 @@ export function tabs(label: string, entries: { name: string; content: HTMLElemen
     buttons[index]!.focus();
   });
   select(0);
-  return h("div", { class: "tabs" }, bar, ...entries.map(({ content }) => content));
+  return { element: h("div", { class: "tabs" }, bar, ...entries.map(({ content }) => content)), select };
 }

@@ -69,7 +69,10 @@ const map = new MapView(by_id<HTMLCanvasElement>("map"), theme, {
     dirty.map = true;
     schedule();
   },
-  anchor_picked: (id) => select(id),
+  anchor_picked: (id) => {
+    select(id);
+    if (id !== null) panels.show_anchors();
+  },
   follow_changed: () => set_attribute(by_id("follow"), "aria-pressed", String(map.follow)),
 });
 const panels = new Panels({ get: () => selected, set: (id) => select(id) }, () => refresh());
@@ -158,7 +161,7 @@ function frame(): void {
     map.draw(model(), moment);
   }
   // A long history is still coming in: the rest waits until it is there.
-  const is_loading = recording === null && live.history === "loading";
+  const is_loading = recording === null && live.history === "loading" && connection.state === "open";
   const tables_are_due = dirty.tables && !is_loading && now_ms - tables_ms >= kTables_ms;
   if (tables_are_due) {
     dirty.tables = false;
@@ -250,16 +253,21 @@ setInterval(() => {
 
 // Files.
 
+let reading = 0; // which file was opened last
+
 async function open_file(file: File): Promise<void> {
+  const mine = ++reading;
   const message = by_id("file-message");
   const say = (text: string, is_problem: boolean) => {
+    if (mine !== reading) return;
     message.hidden = text === "";
     set_text(by_id("file-text"), text);
     set_attribute(message, "data-problem", is_problem ? "" : null);
   };
   say(`Reading ${file.name} …`, false);
   try {
-    const read = await read_recording(file, (share) => say(`Reading ${file.name}: ${Math.round(100 * share)} %`, false));
+    const read = await read_recording(file, (share) => say(`Reading ${file.name}: ${10 * Math.floor(10 * share)} %`, false));
+    if (mine !== reading) return;
     recording = read;
     file_name = file.name;
     cursor_s = read.model.oldest_at_s();

@@ -13,6 +13,7 @@ const kSchemas: Record<string, string> = {
   "/groma/input/odometry": "groma_msgs.Odometry",
 };
 const kMostPoses = 40_000;
+const kMostStatuses = 7200;
 const kSlice_ms = 10;
 const kMagic = "\x89MCAP0\r\n";
 
@@ -37,10 +38,10 @@ export async function read_recording(file: Blob, progress: (share: number) => vo
     poses: kMostPoses,
     // The longest recordings have fewer poses a second.
     pose_interval_s: Math.max(0.1, (1.5 * span_s) / kMostPoses),
-    statuses: Math.ceil(span_s) + 10,
+    statuses: kMostStatuses + 10,
   });
   // Times of the axis begin with the recording.
-  const translator = new Translator((message, t_s) => model.take(message, t_s - begin_s));
+  const translator = new Translator(Math.max(1, span_s / kMostStatuses), (message, t_s) => model.take(message, t_s - begin_s));
   let next_pause_ms = performance.now() + kSlice_ms;
   try {
     for await (const message of reader.readMessages({ topics })) {
@@ -119,7 +120,10 @@ class Translator {
   private anchors: { id: number; verdict: string }[] = [];
   private readonly pairs = new Map<string, { tag: number; anchor: number; ranges: number; range_m: number; at_s: number }>();
 
-  constructor(private readonly put: (message: Message, t_s: number) => void) {}
+  constructor(
+    private readonly status_interval_s: number,
+    private readonly put: (message: Message, t_s: number) => void,
+  ) {}
 
   take(topic: string, t_s: number, fields: Fields): void {
     this.last_s = t_s;
@@ -140,7 +144,7 @@ class Translator {
         this.put({ class: "LOG", t_s, text: fields.text(3) }, t_s);
         break;
     }
-    if (!(t_s - this.status_s < 1)) this.put_status(t_s);
+    if (!(t_s - this.status_s < this.status_interval_s)) this.put_status(t_s);
   }
 
   finish(): void {

@@ -45,6 +45,7 @@ export class Panels {
   private readonly log = h("ol", { class: "log", tabindex: 0, "aria-label": "Log of gromad" });
   private readonly log_empty = h("p", { class: "empty" }, "No log line yet.");
   private log_shown = "";
+  private readonly select_tab: (index: number) => void;
   private tab = 0;
 
   constructor(
@@ -88,7 +89,6 @@ export class Panels {
         { title: "Sync", text: (l) => l.sync ?? kUnknown, tone: (l) => (l.sync === null || l.sync === "locked" ? "" : "tone-warn") },
         { title: "Ranges/s", text: (l) => fixed(l.ranges_hz, 0), order: (l) => l.ranges_hz },
         { title: "Frames/s", text: (l) => fixed(l.frames_hz, 0), order: (l) => l.frames_hz },
-        { title: "Errors", hint: "Damaged frames since the start", text: (l) => count(l.frames_dropped), order: (l) => l.frames_dropped, tone: (l) => (l.frames_dropped > 0 ? "tone-warn" : "") },
         { title: "Delay", hint: "Round trip over the link", text: (l) => with_unit(1000 * l.round_trip_s, 1, "ms"), order: (l) => l.round_trip_s },
       ],
       (link) => `${link.is_robot} ${link.link}`,
@@ -101,7 +101,7 @@ export class Panels {
     for (const name of ["Verdict", "Position", "95 % ellipse", "Calibration", "Coverage", "Ranges used", "Ranges now", "Drive to"]) this.add(detail_list, this.detail_values, name);
     const close = h("button", { type: "button", click: () => selection.set(null) }, "Close");
     this.details.append(h("div", { class: "row" }, this.detail_title, close), detail_list, this.detail_advice);
-    this.element = tabs(
+    const { element, select } = tabs(
       "Details",
       [
         { name: "Anchors", content: h("div", {}, this.verdict, this.details, this.anchors.element) },
@@ -115,12 +115,18 @@ export class Panels {
         this.changed();
       },
     );
+    this.element = element;
+    this.select_tab = select;
   }
 
   private add(list: HTMLElement, values: Map<string, HTMLElement>, name: string, hint: string | null = null): void {
     const value = h("dd", {}, kUnknown);
     values.set(name, value);
     list.append(h("div", { title: hint }, h("dt", {}, name), value));
+  }
+
+  show_anchors(): void {
+    this.select_tab(0);
   }
 
   // The figures that follow each pose.
@@ -212,9 +218,10 @@ function link_name(link: LinkRow): string {
 
 function link_note(link: LinkRow): string {
   const radio = link.radio_error && `radio failed: ${link.radio_error}`;
+  const damaged = link.frames_dropped > 0 ? `${count(link.frames_dropped)} damaged frames` : null;
   const discarded = link.bytes_discarded > 0 ? `${count(link.bytes_discarded)} bytes discarded` : null;
   const state = link.open ? "open" : `not open${link.error ? `: ${link.error}` : ""}`;
-  return [`${link.link}: ${state}`, link.version && `version ${link.version}`, radio, discarded].filter(Boolean).join("; ");
+  return [`${link.link}: ${state}`, link.version && `version ${link.version}`, radio, damaged, discarded].filter(Boolean).join("; ");
 }
 
 function tone_of(of: ReturnType<typeof quality>): string {

@@ -3,12 +3,12 @@ import type { Colours } from "./theme";
 
 type Shape = "circle" | "diamond" | "triangle" | "square" | "cross" | "ring";
 
-export interface Symbol {
+export interface AnchorSymbol {
   shape: Shape;
   colour: keyof Colours;
 }
 
-const kSymbols: Record<string, Symbol> = {
+const kSymbols: Record<string, AnchorSymbol> = {
   ok: { shape: "circle", colour: "good" },
   "weak-z": { shape: "diamond", colour: "warn" },
   weak: { shape: "triangle", colour: "warn" },
@@ -17,12 +17,12 @@ const kSymbols: Record<string, Symbol> = {
   "no-data": { shape: "ring", colour: "idle" },
 };
 
-export function symbol_of(verdict: string): Symbol {
+export function symbol_of(verdict: string): AnchorSymbol {
   return kSymbols[verdict] ?? { shape: "ring", colour: "idle" };
 }
 
 // Around (x, y), with that radius.
-export function trace(context: CanvasRenderingContext2D, shape: Shape, x: number, y: number, r: number): void {
+function trace(context: CanvasRenderingContext2D, shape: Shape, x: number, y: number, r: number): void {
   context.beginPath();
   switch (shape) {
     case "diamond":
@@ -51,7 +51,7 @@ function polygon(context: CanvasRenderingContext2D, points: readonly (readonly [
   context.closePath();
 }
 
-export function draw_symbol(context: CanvasRenderingContext2D, symbol: Symbol, colours: Colours, x: number, y: number, r: number): void {
+export function draw_symbol(context: CanvasRenderingContext2D, symbol: AnchorSymbol, colours: Colours, x: number, y: number, r: number): void {
   trace(context, symbol.shape, x, y, r);
   context.lineWidth = 2;
   if (symbol.shape === "ring") {
