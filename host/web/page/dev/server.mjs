@@ -42,6 +42,7 @@ function play_synthetic(client) {
   const history = site.history(0, history_s);
   send(client, site.version());
   send(client, site.site());
+  send(client, site.anchors(history_s));
   send(client, { class: "HISTORY", state: "begin", messages: history.length });
   for (const message of history) send(client, message);
   send(client, { class: "HISTORY", state: "end" });

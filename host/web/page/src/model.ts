@@ -211,6 +211,7 @@ export class Model {
     switch (message.class) {
       case "VERSION":
         this.version = [message.program, message.version].filter(Boolean).join(" ");
+        this.anchor_set = null; // the first message of a connection
         break;
       case "SITE":
         this.site = site_of(message);
@@ -279,14 +280,16 @@ export class Model {
     };
   }
 
-  // gromad sends its history again after each connection: it replaces what is there.
+  // gromad sends its history again after each connection: it replaces what is there. Only the anchors in use came before
+  // it, and hold until the history has others.
   private begin_history(messages: number): void {
     this.history = "loading";
     this.history_messages = messages;
     this.history_taken = 0;
     this.poses.clear();
     for (const each of [this.statuses, this.calibrations, this.anchor_sets, this.logs]) each.clear();
-    this.pose = this.status = this.calibration = this.anchor_set = null;
+    this.pose = this.status = this.calibration = null;
+    if (this.anchor_set) this.anchor_sets.push({ ...this.anchor_set, at_s: -Infinity });
     this.offset_s = this.shift_s = this.last_at_s = NaN;
     this.texts.clear();
   }

@@ -112,6 +112,27 @@ test("another connection replaces the history", () => {
   }
 });
 
+test("anchors that come before the history hold in it, and end with the connection", () => {
+  const model = new Model();
+  const anchors = (id: number): Message => ({ class: "ANCHORS", t_s: 700, anchors: [{ id, position_m: [1, 2, 3] }] });
+  const ids = (at_s: number | null) => anchors_of(model.moment(at_s)).map((anchor) => anchor.id);
+  model.take({ class: "VERSION" }, 0);
+  model.take(anchors(4), 0);
+  model.take({ class: "HISTORY", state: "begin", messages: 4 }, 0);
+  for (let i = 0; i < 3; i++) model.take(pose(100 + i), 0);
+  assert.deepEqual(ids(null), [4]);
+  assert.deepEqual(ids(model.oldest_at_s()), [4]);
+  assert.equal(model.newest_at_s() - model.oldest_at_s(), 2);
+  model.take({ ...anchors(5), t_s: 102 } as Message, 0);
+  model.take({ class: "HISTORY", state: "end" }, 0);
+  assert.deepEqual(ids(null), [5]);
+  assert.deepEqual(ids(model.oldest_at_s()), [4]);
+  model.take({ class: "VERSION" }, 9);
+  model.take({ class: "HISTORY", state: "begin", messages: 0 }, 9);
+  model.take({ class: "HISTORY", state: "end" }, 9);
+  assert.deepEqual(ids(null), []);
+});
+
 test("a moment of the past has what was there then", () => {
   const model = new Model();
   for (let i = 0; i <= 100; i++) {
