@@ -4,6 +4,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdint>
+#include <map>
 #include <span>
 #include <string_view>
 #include <tuple>
@@ -175,13 +177,6 @@ void put_all(const Recording& recording, std::span<const model::SensorSample> se
 
 }  // namespace
 
-void Encoder::write(std::string_view topic, std::string_view schema, double t_s, std::string_view message) {
-  auto channel = channels_.find(topic);
-  if (channel == channels_.end())
-    channel = channels_.emplace(topic, add_channel(writer_, topic, schema)).first;
-  writer_.write(channel->second, ros2::to_ns(t_s), message);
-}
-
 Converted to_mcap(const Recording& recording, Format format) {
   const io::Dataset& dataset = *recording.dataset;
   const bool is_ros2 = format == Format::kRos2;
@@ -193,7 +188,17 @@ Converted to_mcap(const Recording& recording, Format format) {
                   .tags = dataset.tags,
                   .odometry_noise = dataset.odometry_noise,
                   .gyro_sigma_radps = filter::SensorConfig(dataset.sensors).gyro_sigma_radps};
-  const auto encoder = is_ros2 ? make_ros2_encoder(writer, site) : make_foxglove_encoder(writer, site);
+  std::map<std::string_view, std::uint16_t> channels;  // by topic; the first message of one adds its channel
+  const Write write = [&](std::string_view topic, std::string_view schema, double t_s,
+                          std::string_view message) {
+    auto channel = channels.find(topic);
+    if (channel == channels.end()) {
+      const auto add_channel = is_ros2 ? add_ros2_channel : add_foxglove_channel;
+      channel = channels.emplace(topic, add_channel(writer, topic, schema)).first;
+    }
+    writer.write(channel->second, ros2::to_ns(t_s), message);
+  };
+  const auto encoder = is_ros2 ? make_ros2_encoder(write, site) : make_foxglove_encoder(write, site);
   const std::vector<model::SensorSample> sensors = sensor_samples(dataset.sensor_samples);
   const Timeline timeline(recording, sensors);
   put_all(recording, sensors, timeline.events(), *encoder);

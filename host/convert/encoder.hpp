@@ -2,12 +2,13 @@
 #pragma once
 
 #include <cstdint>
-#include <map>
+#include <functional>
 #include <memory>
 #include <optional>
 #include <span>
 #include <string>
 #include <string_view>
+#include <utility>
 
 #include <Eigen/Core>
 
@@ -48,9 +49,12 @@ struct InputPose {
       .asDiagonal();
 }
 
+// Receives a message: its topic, which is a literal, its schema's name, its time and its bytes.
+using Write = std::function<void(std::string_view topic, std::string_view schema, double t_s,
+                                 std::string_view message)>;
+
 class Encoder {
  public:
-  explicit Encoder(mcap::Writer& writer) : writer_(writer) {}
   virtual ~Encoder() = default;
   Encoder(const Encoder&) = delete;
   Encoder& operator=(const Encoder&) = delete;
@@ -68,19 +72,22 @@ class Encoder {
   virtual void put(const Estimate& estimate) = 0;
 
  protected:
-  // Writes a message; the first one of a topic adds its channel.
-  void write(std::string_view topic, std::string_view schema, double t_s, std::string_view message);
-  [[nodiscard]] virtual std::uint16_t add_channel(mcap::Writer& writer, std::string_view topic,
-                                                  std::string_view schema) = 0;
+  explicit Encoder(Write write) : write_(std::move(write)) {}
+  void write(std::string_view topic, std::string_view schema, double t_s, std::string_view message) const {
+    write_(topic, schema, t_s, message);
+  }
 
  private:
-  mcap::Writer& writer_;
-  std::map<std::string_view, std::uint16_t> channels_;  // by topic; topics are literals
+  Write write_;
 };
 
 // Protobuf messages with the schemas of Foxglove.
-[[nodiscard]] std::unique_ptr<Encoder> make_foxglove_encoder(mcap::Writer& writer, const Site& site);
+[[nodiscard]] std::unique_ptr<Encoder> make_foxglove_encoder(Write write, const Site& site);
+[[nodiscard]] std::uint16_t add_foxglove_channel(mcap::Writer& writer, std::string_view topic,
+                                                 std::string_view schema);
 // Messages of ROS 2.
-[[nodiscard]] std::unique_ptr<Encoder> make_ros2_encoder(mcap::Writer& writer, const Site& site);
+[[nodiscard]] std::unique_ptr<Encoder> make_ros2_encoder(Write write, const Site& site);
+[[nodiscard]] std::uint16_t add_ros2_channel(mcap::Writer& writer, std::string_view topic,
+                                             std::string_view schema);
 
 }  // namespace groma::convert

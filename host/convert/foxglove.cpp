@@ -4,6 +4,7 @@
 #include <array>
 #include <cmath>
 #include <string>
+#include <utility>
 
 #include <Eigen/Eigenvalues>
 
@@ -159,7 +160,7 @@ std::uint64_t log_level(filter::State state) {
 
 class FoxgloveEncoder final : public Encoder {
  public:
-  FoxgloveEncoder(mcap::Writer& writer, const Site& site) : Encoder(writer), site_(site) {}
+  FoxgloveEncoder(Write write, const Site& site) : Encoder(std::move(write)), site_(site) {}
 
   void put_site(double t_s, const model::Calibration& calibration) override {
     ProtoWriter scene;
@@ -227,11 +228,6 @@ class FoxgloveEncoder final : public Encoder {
     write_change(estimate);
   }
 
- protected:
-  std::uint16_t add_channel(mcap::Writer& writer, std::string_view topic, std::string_view schema) override {
-    return writer.add_channel(topic, "protobuf", {schema, "protobuf", protobuf_schemas()});
-  }
-
  private:
   void write_pose(std::string_view topic, double t_s, const model::QuaternionPose& of) {
     ProtoWriter out = in_frame(t_s, site_.frame);
@@ -272,8 +268,12 @@ class FoxgloveEncoder final : public Encoder {
 
 }  // namespace
 
-std::unique_ptr<Encoder> make_foxglove_encoder(mcap::Writer& writer, const Site& site) {
-  return std::make_unique<FoxgloveEncoder>(writer, site);
+std::unique_ptr<Encoder> make_foxglove_encoder(Write write, const Site& site) {
+  return std::make_unique<FoxgloveEncoder>(std::move(write), site);
+}
+
+std::uint16_t add_foxglove_channel(mcap::Writer& writer, std::string_view topic, std::string_view schema) {
+  return writer.add_channel(topic, "protobuf", {schema, "protobuf", protobuf_schemas()});
 }
 
 }  // namespace groma::convert

@@ -39,8 +39,8 @@ void put_range(CdrWriter& out, const model::RangeSample& range) {
 
 class Ros2Encoder final : public Encoder {
  public:
-  Ros2Encoder(mcap::Writer& writer, const Site& site)
-      : Encoder(writer), site_(site), messages_({.map = std::string(site.frame)}, true) {}
+  Ros2Encoder(Write write, const Site& site)
+      : Encoder(std::move(write)), site_(site), messages_({.map = std::string(site.frame)}, true) {}
 
   void put_site(double t_s, const model::Calibration& calibration) override {
     write(ros2::kAnchorsTopic, "visualization_msgs/msg/MarkerArray", t_s, ros2::anchor_markers(calibration));
@@ -106,13 +106,6 @@ class Ros2Encoder final : public Encoder {
                                       std::string_view cdr) { write(topic, type, t_s, cdr); });
   }
 
- protected:
-  std::uint16_t add_channel(mcap::Writer& writer, std::string_view topic, std::string_view schema) override {
-    const std::string profiles = qos_profiles(topic == ros2::kAnchorsTopic);
-    return writer.add_channel(topic, "cdr", {schema, "ros2msg", ros2::schema_of(schema)},
-                              {{"offered_qos_profiles", profiles}});
-  }
-
  private:
   static void put_diagonal(CdrWriter& out, const Eigen::Vector3d& diagonal) {
     const Eigen::Matrix3d matrix = diagonal.asDiagonal();
@@ -125,8 +118,14 @@ class Ros2Encoder final : public Encoder {
 
 }  // namespace
 
-std::unique_ptr<Encoder> make_ros2_encoder(mcap::Writer& writer, const Site& site) {
-  return std::make_unique<Ros2Encoder>(writer, site);
+std::unique_ptr<Encoder> make_ros2_encoder(Write write, const Site& site) {
+  return std::make_unique<Ros2Encoder>(std::move(write), site);
+}
+
+std::uint16_t add_ros2_channel(mcap::Writer& writer, std::string_view topic, std::string_view schema) {
+  const std::string profiles = qos_profiles(topic == ros2::kAnchorsTopic);
+  return writer.add_channel(topic, "cdr", {schema, "ros2msg", ros2::schema_of(schema)},
+                            {{"offered_qos_profiles", profiles}});
 }
 
 }  // namespace groma::convert

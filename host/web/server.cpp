@@ -1,0 +1,415 @@
+#include "host/web/server.hpp"
+
+#include <algorithm>
+#include <chrono>
+#include <deque>
+#include <stdexcept>
+#include <utility>
+
+#include <boost/asio/buffer.hpp>
+#include <boost/asio/io_context.hpp>
+#include <boost/asio/ip/tcp.hpp>
+#include <boost/asio/ssl/context.hpp>
+#include <boost/asio/steady_timer.hpp>
+#include <boost/beast/core/flat_static_buffer.hpp>
+#include <boost/beast/core/tcp_stream.hpp>
+#include <boost/beast/http/empty_body.hpp>
+#include <boost/beast/http/error.hpp>
+#include <boost/beast/http/message.hpp>
+#include <boost/beast/http/parser.hpp>
+#include <boost/beast/http/read.hpp>
+#include <boost/beast/http/rfc7230.hpp>
+#include <boost/beast/http/string_body.hpp>
+#include <boost/beast/http/write.hpp>
+#include <boost/beast/websocket/rfc6455.hpp>
+#include <boost/beast/websocket/stream.hpp>
+#include <openssl/ssl.h>
+
+#include "host/web/stream.hpp"
+
+namespace groma::web {
+
+namespace asio = boost::asio;
+namespace beast = boost::beast;
+namespace http = beast::http;
+namespace websocket = beast::websocket;
+using asio::ip::tcp;
+using Error = beast::error_code;
+using Request = http::request<http::empty_body>;
+
+namespace {
+
+// Bytes that the kernel keeps for a client; by itself it would keep megabytes for one that does not read.
+constexpr int kSendBuffer = 65'536;
+
+// Scripts, styles and data come from this server alone, and no other page may have it in a frame.
+constexpr const char* kPolicy =
+    "default-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data:; frame-ancestors 'none'";
+
+std::string_view view(beast::string_view text) { return {text.data(), text.size()}; }
+
+struct Target {
+  std::string_view path;
+  std::string_view query;
+};
+
+Target target_of(const Request& request) {
+  const std::string_view text = view(request.target());
+  const std::size_t mark = text.find('?');
+  return {text.substr(0, mark), mark == std::string_view::npos ? std::string_view{} : text.substr(mark + 1)};
+}
+
+Sender sender_of(const Request& request) {
+  Sender out{.host = view(request[http::field::host]),
+             .origin = {},
+             .authorization = view(request[http::field::authorization]),
+             .cookie = view(request[http::field::cookie]),
+             .query = target_of(request).query};
+  if (request.count(http::field::origin) > 0) out.origin = view(request[http::field::origin]);
+  return out;
+}
+
+// The first subprotocol that the client offers and the path speaks; empty: none.
+std::string chosen_subprotocol(const Request& request, const Server::SocketPath& path) {
+  for (const auto offered : http::token_list(request[http::field::sec_websocket_protocol])) {
+    const std::string name(view(offered));
+    if (std::find(path.subprotocols.begin(), path.subprotocols.end(), name) != path.subprotocols.end())
+      return name;
+  }
+  return {};
+}
+
+std::unique_ptr<asio::ssl::context> make_tls(const TlsTexts& texts) {
+  auto context = std::make_unique<asio::ssl::context>(asio::ssl::context::tls_server);
+  context->set_options(asio::ssl::context::default_workarounds | asio::ssl::context::no_sslv2 |
+                       asio::ssl::context::no_sslv3 | asio::ssl::context::no_tlsv1 |
+                       asio::ssl::context::no_tlsv1_1);
+  Error error;
+  context->use_certificate_chain(asio::buffer(texts.certificate_pem), error);
+  if (error) throw std::runtime_error("holds no certificate in PEM form (" + error.message() + ")");
+  context->use_private_key(asio::buffer(texts.key_pem), asio::ssl::context::pem, error);
+  if (error) throw std::runtime_error("has no private key that belongs to it (" + error.message() + ")");
+  return context;
+}
+
+}  // namespace
+
+// An open WebSocket, owned by its reading operation.
+class Server::WebSocket : public Socket, public std::enable_shared_from_this<WebSocket> {
+ public:
+  WebSocket(Server& server, Stream stream, const SocketPath& path, std::string subprotocol)
+      : server_(&server),
+        service_(*path.service),
+        subprotocol_(std::move(subprotocol)),
+        stream_(std::move(stream)) {
+    server.sockets_.push_back(this);
+  }
+  ~WebSocket() override {
+    if (server_ != nullptr) server_->sockets_.remove(this);
+  }
+  WebSocket(const WebSocket&) = delete;
+  WebSocket& operator=(const WebSocket&) = delete;
+
+  void accept(const Request& request) {
+    stream_.next_layer().next_layer().expires_never();  // the WebSocket has its own times
+    stream_.set_option(websocket::stream_base::timeout{std::chrono::seconds(kPatience_s),
+                                                       std::chrono::seconds(kSilence_s), true});
+    stream_.read_message_max(kMaxMessage);
+    stream_.auto_fragment(false);
+    stream_.set_option(websocket::stream_base::decorator([this](websocket::response_type& response) {
+      if (!subprotocol_.empty()) response.set(http::field::sec_websocket_protocol, subprotocol_);
+    }));
+    stream_.async_accept(request, [self = shared_from_this()](const Error& error) { self->on_accepted(error); });
+  }
+
+  bool send(Message message, Kind kind) override {
+    if (waiting_bytes_ + message->size() > kMaxWaiting) {
+      if (server_ != nullptr) ++server_->counters_.left_out;
+      return false;
+    }
+    waiting_bytes_ += message->size();
+    waiting_.push_back({std::move(message), kind});
+    if (waiting_.size() == 1) write();
+    return true;
+  }
+  [[nodiscard]] std::size_t waiting_bytes() const noexcept override { return waiting_bytes_; }
+  [[nodiscard]] std::string_view subprotocol() const noexcept override { return subprotocol_; }
+
+  // The server is destroyed before the context.
+  void abandon() {
+    end();
+    server_ = nullptr;
+    stream_.next_layer().close();
+  }
+
+ private:
+  struct Waiting {
+    Message message;
+    Kind kind;
+  };
+
+  void on_accepted(const Error& error) {
+    if (server_ == nullptr || error) return;
+    ++server_->counters_.sockets;
+    is_open_ = true;
+    service_.on_open(*this);
+    read();
+  }
+
+  void read() {
+    stream_.async_read(buffer_, [self = shared_from_this()](const Error& error, std::size_t) { self->on_read(error); });
+  }
+
+  void on_read(const Error& error) {
+    if (server_ == nullptr) return;
+    if (error) {
+      if (error == beast::error::timeout) ++server_->counters_.timed_out;
+      return end();
+    }
+    const auto bytes = buffer_.data();
+    const std::string_view text(static_cast<const char*>(bytes.data()), bytes.size());
+    if (!stream_.got_text() || !service_.on_text(*this, text)) ++server_->counters_.ignored;
+    buffer_.consume(bytes.size());
+    read();
+  }
+
+  void write() {
+    stream_.binary(waiting_.front().kind == Kind::kBinary);
+    stream_.async_write(
+        asio::buffer(*waiting_.front().message),
+        [self = shared_from_this()](const Error& error, std::size_t) { self->on_written(error); });
+  }
+
+  void on_written(const Error& error) {
+    if (server_ == nullptr || error) return;  // the reading operation ends, too
+    ++server_->counters_.messages;
+    waiting_bytes_ -= waiting_.front().message->size();
+    waiting_.pop_front();
+    if (!waiting_.empty()) return write();
+    if (is_open_) service_.on_drained(*this);
+  }
+
+  void end() {
+    if (std::exchange(is_open_, false)) service_.on_close(*this);
+  }
+
+  Server* server_;  // null: destroyed
+  SocketService& service_;
+  std::string subprotocol_;
+  websocket::stream<Stream, false> stream_;  // without compression
+  beast::flat_static_buffer<kMaxMessage> buffer_;
+  std::deque<Waiting> waiting_;  // the first one is being written
+  std::size_t waiting_bytes_ = 0;
+  bool is_open_ = false;
+};
+
+// One client of HTTP: reads a request, answers it, and reads the next one.
+class Server::Client : public std::enable_shared_from_this<Client> {
+ public:
+  Client(Server& server, tcp::socket socket)
+      : server_(&server), stream_(std::move(socket), server.tls_.get()), pause_(server.context_) {
+    server.clients_.push_back(this);
+  }
+  ~Client() {
+    if (server_ != nullptr) server_->clients_.remove(this);
+  }
+  Client(const Client&) = delete;
+  Client& operator=(const Client&) = delete;
+
+  void start(std::chrono::steady_clock::time_point at) {
+    if (server_->tls_ == nullptr) return read();
+    pause_.expires_at(at);
+    pause_.async_wait([self = shared_from_this()](const Error& error) {
+      if (!error) self->shake_hands();
+    });
+  }
+
+  // Whether nothing of an answer is under way.
+  [[nodiscard]] bool is_silent() const noexcept { return is_silent_; }
+
+  // The server is destroyed before the context, or needs the place.
+  void abandon() {
+    server_ = nullptr;
+    pause_.cancel();
+    stream_.close();
+  }
+
+ private:
+  void shake_hands() {
+    if (server_ == nullptr) return;
+    stream_.next_layer().expires_after(std::chrono::seconds(kPatience_s));
+    stream_.async_handshake([self = shared_from_this()](const Error& error) {
+      if (self->server_ == nullptr) return;
+      if (error) return self->count_time_out(error);
+      self->read();
+    });
+  }
+
+  void read() {
+    request_.emplace();
+    request_->header_limit(kMaxRequest);
+    stream_.next_layer().expires_after(std::chrono::seconds(kPatience_s));
+    http::async_read(stream_, buffer_, *request_,
+                     [self = shared_from_this()](const Error& error, std::size_t) { self->on_read(error); });
+  }
+
+  void on_read(const Error& error) {
+    if (server_ == nullptr || error == http::error::end_of_stream) return;
+    is_silent_ = false;
+    if (error && error.category() == Error(http::error::bad_method).category())
+      return respond(http::status::bad_request, "bad request\n");
+    if (error) return count_time_out(error);
+    const Request& request = request_->get();
+    if (const Access access = judge(server_->rules_, sender_of(request)); access != Access::kGranted)
+      return refuse(access);
+    const Target target = target_of(request);
+    const auto sockets = server_->socket_paths_.find(target.path);
+    const auto page = server_->pages_.find(target.path);
+    if (request.method() != http::verb::get && request.method() != http::verb::head) {
+      prepare(http::status::method_not_allowed, "text/plain", "GET and HEAD only\n");
+      response_.set(http::field::allow, "GET, HEAD");
+      write();
+    } else if (sockets != server_->socket_paths_.end()) {
+      upgrade(sockets->second);
+    } else if (page == server_->pages_.end()) {
+      respond(http::status::not_found, "not found\n");
+    } else if (target.path == "/" && has_token_in_query(server_->rules_, target.query)) {
+      exchange_token();
+    } else {
+      prepare(http::status::ok, page->second.content_type, page->second.render());
+      if (!page->second.encoding.empty()) response_.set(http::field::content_encoding, page->second.encoding);
+      write();
+    }
+  }
+
+  void refuse(Access access) {
+    ++server_->counters_.forbidden;
+    const bool lacks_token = access == Access::kNoToken;
+    prepare(lacks_token ? http::status::unauthorized : http::status::forbidden, "text/plain", explain(access));
+    if (lacks_token) response_.set(http::field::www_authenticate, "Bearer");
+    write();
+  }
+
+  // The browser keeps the token as a cookie, so that it stands in no address.
+  void exchange_token() {
+    prepare(http::status::see_other, "text/plain", "");
+    response_.set(http::field::location, "/");
+    response_.set(http::field::set_cookie,
+                  std::string(kTokenCookie) + "=" + server_->rules_.token + "; Path=/; HttpOnly; SameSite=Strict" +
+                      (server_->tls_ != nullptr ? "; Secure" : ""));
+    write();
+  }
+
+  void upgrade(const SocketPath& path) {
+    const Request& request = request_->get();
+    if (!websocket::is_upgrade(request)) {
+      prepare(http::status::upgrade_required, "text/plain", "a WebSocket only\n");
+      response_.set(http::field::upgrade, "websocket");
+      return write();
+    }
+    std::string subprotocol = chosen_subprotocol(request, path);
+    if (subprotocol.empty() && path.needs_subprotocol)
+      return respond(http::status::bad_request, "name a subprotocol that gromad speaks\n");
+    if (server_->sockets_.size() >= kMaxSockets)
+      return respond(http::status::service_unavailable, "as many WebSockets as gromad serves are open\n");
+    ++server_->counters_.requests;
+    std::make_shared<WebSocket>(*server_, std::move(stream_), path, std::move(subprotocol))->accept(request);
+  }
+
+  void respond(http::status status, std::string_view body) {
+    prepare(status, "text/plain", body);
+    write();
+  }
+
+  void prepare(http::status status, const std::string& type, std::string_view body) {
+    constexpr unsigned kHttp11 = 11;
+    response_ = http::response<http::string_body>(status, kHttp11);
+    response_.set(http::field::content_type, type);
+    response_.set(http::field::cache_control, "no-cache");
+    response_.set("X-Content-Type-Options", "nosniff");
+    response_.set("Content-Security-Policy", kPolicy);
+    response_.keep_alive(request_->get().keep_alive() && status != http::status::bad_request);
+    response_.body() = body;
+  }
+
+  void write() {
+    ++server_->counters_.requests;
+    response_.prepare_payload();
+    if (request_->get().method() == http::verb::head) response_.body().clear();
+    stream_.next_layer().expires_after(std::chrono::seconds(kPatience_s));
+    http::async_write(stream_, response_, [self = shared_from_this()](const Error& error, std::size_t) {
+      self->on_written(error);
+    });
+  }
+
+  void on_written(const Error& error) {
+    if (server_ == nullptr) return;
+    if (error) return count_time_out(error);
+    is_silent_ = true;
+    if (response_.keep_alive()) return read();
+    Error ignored;
+    stream_.next_layer().socket().shutdown(tcp::socket::shutdown_send, ignored);
+  }
+
+  void count_time_out(const Error& error) {
+    if (error == beast::error::timeout) ++server_->counters_.timed_out;
+  }
+
+  Server* server_;  // null: destroyed
+  Stream stream_;
+  asio::steady_timer pause_;
+  beast::flat_static_buffer<kMaxRequest> buffer_;
+  std::optional<http::request_parser<http::empty_body>> request_;
+  http::response<http::string_body> response_;
+  bool is_silent_ = true;
+};
+
+Server::Server(asio::io_context& context, AccessRules rules, const std::optional<TlsTexts>& tls)
+    : context_(context), rules_(std::move(rules)) {
+  if (tls) tls_ = make_tls(*tls);
+}
+
+Server::~Server() {
+  for (Client* client : clients_) client->abandon();
+  for (WebSocket* socket : sockets_) socket->abandon();
+}
+
+void Server::serve(std::string path, Page page) { pages_[std::move(path)] = std::move(page); }
+
+void Server::serve(std::string path, SocketPath sockets) { socket_paths_[std::move(path)] = std::move(sockets); }
+
+void Server::add(io::Descriptor fd) {
+  if (clients_.size() + sockets_.size() >= kMaxClients && !make_place()) {
+    ++counters_.refused;
+    return;
+  }
+  ++counters_.accepted;
+  tcp::socket socket(context_);
+  Error error;
+  // Asio uses the protocol only to open sockets.
+  socket.assign(tcp::v4(), fd.get(), error);
+  if (error) return;
+  static_cast<void>(fd.release());
+  socket.set_option(asio::socket_base::send_buffer_size(kSendBuffer), error);
+  std::make_shared<Client>(*this, std::move(socket))->start(next_handshake());
+}
+
+bool Server::make_place() {
+  const auto silent = std::find_if(clients_.begin(), clients_.end(), [](const Client* client) { return client->is_silent(); });
+  if (silent == clients_.end()) return false;
+  Client* const client = *silent;
+  clients_.erase(silent);
+  client->abandon();
+  return true;
+}
+
+// A handshake of TLS costs some milliseconds, which poses would wait for: a few at once, then 20 a second.
+std::chrono::steady_clock::time_point Server::next_handshake() {
+  constexpr std::chrono::milliseconds kBetween{50};
+  constexpr int kAtOnce = 8;
+  const auto now = std::chrono::steady_clock::now();
+  handshake_ = std::max(handshake_ + kBetween, now - kAtOnce * kBetween);
+  return handshake_;
+}
+
+}  // namespace groma::web
