@@ -7,6 +7,7 @@
 #include <cstdint>
 #include <filesystem>
 #include <memory>
+#include <cstdlib>
 #include <optional>
 #include <string>
 
@@ -18,6 +19,7 @@
 #include "host/cli/demo_report.hpp"
 #include "host/cli/emulation_option.hpp"
 #include "host/cli/json.hpp"
+#include "host/cli/live_site.hpp"
 #include "host/cli/report_output.hpp"
 #include "host/cli/terminal.hpp"
 #include "host/io/calibration_file.hpp"
@@ -37,7 +39,38 @@ struct DemoOptions {
   EmulationChoice emulation;
   std::optional<std::filesystem::path> report;
   bool json = false;
+  bool live = false;
+  std::uint16_t port = kLivePort;
 };
+
+// A folder of its own for the time of the program.
+class TemporaryFolder {
+ public:
+  TemporaryFolder() {
+    std::string name = (std::filesystem::temp_directory_path() / "groma-XXXXXX").string();
+    if (::mkdtemp(name.data()) == nullptr)
+      throw io::PathError({name}, "cannot be made", "name a folder with 'TMPDIR' that you may write to");
+    path_ = name;
+  }
+  ~TemporaryFolder() {
+    std::error_code ignored;
+    std::filesystem::remove_all(path_, ignored);
+  }
+  TemporaryFolder(const TemporaryFolder&) = delete;
+  TemporaryFolder& operator=(const TemporaryFolder&) = delete;
+
+  [[nodiscard]] const std::filesystem::path& path() const noexcept { return path_; }
+
+ private:
+  std::filesystem::path path_;
+};
+
+int show_live(const DemoOptions& options, const sim::Scenario& scenario) {
+  const TemporaryFolder folder;
+  return run_live(endless(scenario),
+                  {.site = {.seed = options.seed, .image = chosen_image(options.emulation)}, .folder = folder.path()},
+                  options.port);
+}
 
 Json to_json(const simulation::DemoResult& result, std::uint64_t seed) {
   Json json{{"seed", seed}};
@@ -119,6 +152,7 @@ void write_report(const std::filesystem::path& folder, const sim::Scenario& scen
 int run(const DemoOptions& options) {
   if (options.report) io::make_folder(*options.report);
   const sim::Scenario scenario = options.scenario ? sim::read_scenario(*options.scenario) : sim::paper_hall();
+  if (options.live) return show_live(options, scenario);
   if (scenario.drives.size() < 2) {
     throw io::DataError({*options.scenario}, "has one drive: there is none to calibrate on",
                         "describe two: the first calibrates, the second is localized");
@@ -160,6 +194,9 @@ void add_demo(CLI::App& app, Action& action) {
       ->add_option("--report", options->report,
                    "Folder for report.html, the calibration, the estimates and both drives as data sets")
       ->type_name("DIR");
+  command->add_flag("--live", options->live,
+                    "Run the site in real time instead, with a gromad that serves its live page");
+  command->add_option("--port", options->port, "TCP port of the live page")->capture_default_str()->type_name("N");
   command->add_flag("--json", options->json, "Print one JSON object");
   command->callback([options, &action] { action = [options] { return run(*options); }; });
 }

@@ -54,16 +54,6 @@ std::vector<Eigen::Vector3d> way(const std::vector<model::PoseSample>& poses) {
   return points;
 }
 
-report::Walls walls_of(const sim::Scenario& scenario) {
-  report::Walls walls;
-  for (const sim::Wall& wall : scenario.walls) {
-    if (wall.bottom_m > kOverhead_m) continue;
-    const bool opaque = scenario.materials[wall.material].loss_db >= sim::kOpaqueLoss_db;
-    (opaque ? walls.opaque : walls.others).emplace_back(wall.from_m, wall.to_m);
-  }
-  return walls;
-}
-
 void add_map(Page& page, const sim::Scenario& scenario, const simulation::DemoResult& result) {
   Chart map({.x_label = "x (m)", .y_label = "y (m)", .same_scale = true, .height_px = 640.0});
   report::add_walls(map, walls_of(scenario));
@@ -165,6 +155,16 @@ void add_calibration_errors(Page& page, const simulation::DemoResult& result) {
 }
 
 }  // namespace
+
+report::Walls walls_of(const sim::Scenario& scenario) {
+  report::Walls walls;
+  for (const sim::Wall& wall : scenario.walls) {
+    if (wall.bottom_m > kOverhead_m) continue;
+    const bool opaque = scenario.materials[wall.material].loss_db >= sim::kOpaqueLoss_db;
+    (opaque ? walls.opaque : walls.others).emplace_back(wall.from_m, wall.to_m);
+  }
+  return walls;
+}
 
 report::Page demo_report(const sim::Scenario& scenario, const simulation::DemoResult& result,
                          std::uint64_t seed) {

@@ -11,6 +11,7 @@
 #include "firmware/sim/world/scenario_file.hpp"
 #include "host/cli/command.hpp"
 #include "host/cli/emulation_option.hpp"
+#include "host/cli/live_site.hpp"
 #include "host/cli/stop_signal.hpp"
 #include "host/cli/terminal.hpp"
 #include "host/io/exit_code.hpp"
@@ -22,6 +23,8 @@ namespace {
 
 struct SimOptions {
   std::filesystem::path scenario;
+  bool live = false;
+  std::uint16_t port = kLivePort;
   simulation::SiteServer::Options server;
   EmulationChoice emulation;
 };
@@ -29,6 +32,7 @@ struct SimOptions {
 int run(SimOptions options) {
   const sim::Scenario scenario = sim::read_scenario(options.scenario);
   options.server.site.image = chosen_image(options.emulation);
+  if (options.live) return run_live(scenario, options.server, options.port);
   // Before any file is created that an early end would leave behind.
   const volatile std::sig_atomic_t& stop = stop_on_signals();
   simulation::SiteServer server(scenario, options.server);
@@ -70,6 +74,9 @@ void add_sim(CLI::App& app, Action& action) {
   command->add_flag(
       "--unconfigured", options->server.site.unconfigured,
       "Unconfigured nodes, for 'groma configure'; then anchors have ports, too: anchor-10 and so on");
+  command->add_flag("--live", options->live,
+                    "Also run gromad on the site, and print the address of its live page");
+  command->add_option("--port", options->port, "TCP port of the live page")->capture_default_str()->type_name("N");
   command->add_option("--ports", options->server.folder, "Folder for tag-1 and so on, and robot.sock")
       ->required()
       ->type_name("DIR");

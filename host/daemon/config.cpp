@@ -1,6 +1,5 @@
 #include "host/daemon/config.hpp"
 
-#include <arpa/inet.h>
 #include <fmt/format.h>
 
 #include <algorithm>
@@ -12,6 +11,7 @@
 
 #include <nlohmann/json.hpp>
 
+#include "host/daemon/config_values.hpp"
 #include "host/filter/state.hpp"
 #include "host/io/dataset_writer.hpp"
 #include "host/io/input_file.hpp"
@@ -37,19 +37,6 @@ constexpr std::int64_t kMaxRing_mib = 1 << 20;
 constexpr unsigned kMinBaud = 1200;
 constexpr unsigned kMaxBaud = 4'000'000;
 constexpr auto kMaxId = std::numeric_limits<model::NodeId>::max();
-constexpr auto kMaxPort = std::numeric_limits<std::uint16_t>::max();
-
-std::filesystem::path parse_path(const YamlValue& yaml, const std::filesystem::path& folder) {
-  const std::string text = yaml.text();
-  if (text.empty()) yaml.fail("is empty", "name a path");
-  return folder / text;
-}
-
-bool is_numeric_address(const std::string& text) {
-  in_addr v4{};
-  in6_addr v6{};
-  return ::inet_pton(AF_INET, text.c_str(), &v4) == 1 || ::inet_pton(AF_INET6, text.c_str(), &v6) == 1;
-}
 
 // A path, or tcp://HOST:PORT and the like.
 std::filesystem::path parse_address(const YamlValue& yaml, const std::filesystem::path& folder) {
@@ -187,20 +174,6 @@ void parse_robot(const YamlValue& robot, const std::filesystem::path& folder, io
   }
   const bool has_can = robot.find("can") || robot.find("dbc") || robot.find("signals");
   if (has_can || config.robot_listen.empty()) config.robot_can = parse_can_signals(robot, folder, files);
-}
-
-// Keys that are absent keep their values.
-void parse_endpoint(const YamlValue& yaml, Endpoint& endpoint) {
-  if (const auto address = yaml.find("address")) {
-    endpoint.address = address->text();
-    if (!is_numeric_address(endpoint.address)) {
-      address->fail("is not a numeric address",
-                    "write 127.0.0.1 for this computer only, 0.0.0.0 for the network");
-    }
-  }
-  if (const auto port = yaml.find("port")) {
-    endpoint.port = static_cast<std::uint16_t>(port->integer(0, kMaxPort));
-  }
 }
 
 RingSettings parse_ring(const YamlValue& yaml, const std::filesystem::path& folder) {
@@ -353,12 +326,6 @@ YamlType ring_type() {
         false}});
 }
 
-YamlType endpoint_type() {
-  return YamlType::map(
-      {{"address", YamlType::text(), "Numeric address of an interface; 0.0.0.0: all.", false},
-       {"port", YamlType::integer(0, kMaxPort), "TCP port; 0: any free one.", false}});
-}
-
 YamlType ros2_type() {
   return YamlType::map(
       {{"domain_id", YamlType::integer(0, kMaxDomain), "ROS_DOMAIN_ID of the other nodes.", false},
@@ -440,12 +407,10 @@ void append_optional(std::vector<ConfigKey>& keys) {
                   [](Yaml yaml, In in, Files&) { io::parse_gnss(yaml, in.config.sensors); }});
   keys.push_back({{"model", model_type(), "Measurement model of the filter.", false},
                   [](Yaml yaml, In in, Files&) { in.config.model = *filter::model_from_name(yaml.text()); }});
-  keys.push_back({{"pose_stream", endpoint_type(), "Where the poses are served.", false},
+  keys.push_back({{"pose_stream", YamlType::map(endpoint_keys()), "Where the poses are served.", false},
                   [](Yaml yaml, In in, Files&) { parse_endpoint(yaml, in.config.pose_stream); }});
-  keys.push_back(
-      {{"web", endpoint_type(), "Where counters are served by HTTP.", false}, [](Yaml yaml, In in, Files&) {
-         parse_endpoint(yaml, in.config.web.emplace(Endpoint{.address = "127.0.0.1", .port = 4722}));
-       }});
+  keys.push_back({{"web", web_type(), "Where the live page and the counters are served by HTTP.", false},
+                  [](Yaml yaml, In in, Files& files) { in.config.web = parse_web(yaml, in.folder, files); }});
   keys.push_back({{"ros2", ros2_type(), "Topics of ROS 2.", false},
                   [](Yaml yaml, In in, Files&) { in.config.ros2 = parse_ros2(yaml); }});
   keys.push_back({{"log", YamlType::text(), "File to which all input is appended.", false},

@@ -45,6 +45,7 @@
 #include "host/daemon/can_signals.hpp"
 #include "host/daemon/ros2_settings.hpp"
 #include "host/daemon/tcp_listener.hpp"
+#include "host/daemon/web_settings.hpp"
 #include "host/filter/config.hpp"
 #include "host/io/dataset.hpp"
 #include "host/io/error.hpp"
@@ -92,7 +93,7 @@ struct Config {
   CalibrationSource calibration;
   filter::Model model = filter::Config{}.model;
   Endpoint pose_stream{.address = "127.0.0.1", .port = 4721};
-  std::optional<Endpoint> web;                     // none: no HTTP server
+  std::optional<WebSettings> web;                  // none: no HTTP server
   std::optional<Ros2Settings> ros2;                // none: no ROS 2
   std::optional<std::filesystem::path> log;        // none: nothing is appended
   std::optional<RingSettings> ring;                // none: the last drive is not kept

@@ -8,6 +8,7 @@
 #include <chrono>
 #include <csignal>
 #include <filesystem>
+#include <stdexcept>
 #include <system_error>
 #include <utility>
 
@@ -18,6 +19,7 @@
 #include "host/io/log_ring.hpp"
 #include "host/link/line_listener.hpp"
 #include "host/link/report_decoder.hpp"
+#include "host/web/page_files.hpp"
 
 namespace groma::daemon {
 namespace {
@@ -55,6 +57,12 @@ LinkStatus link_status(const LinkInput& input) {
   return status;
 }
 
+// What "/" is if the page was not built.
+constexpr std::string_view kNoPage =
+    "<!DOCTYPE html><html lang=\"en\"><title>gromad</title><p>This gromad was built without its live page. Run "
+    "<code>scripts/setup page</code>, build again and restart it. <a href=\"/metrics\">/metrics</a> has the "
+    "counters; <code>/live</code> and <code>/foxglove</code> are WebSockets.</p></html>\n";
+
 // A frame that requests a node's Hello.
 std::vector<std::uint8_t> hello_request() {
   groma_HostToNode message = groma_HostToNode_init_zero;
@@ -68,7 +76,10 @@ std::vector<std::uint8_t> hello_request() {
 Daemon::Daemon(Config config, std::optional<model::Calibration> calibration, Log log,
                const EventLoop::Clock& clock)
     : config_(std::move(config)),
-      log_(std::move(log)),
+      log_([this, log = std::move(log)](std::string_view text) {
+        log(text);
+        if (live_page_ != nullptr) live_page_->on_log(text);
+      }),
       loop_([clock, speed = config_.speed] { return speed * clock(); }),
       pipeline_(
           config_, log_, [this](const PoseEstimate& pose) { publish(pose); },
@@ -81,7 +92,7 @@ Daemon::Daemon(Config config, std::optional<model::Calibration> calibration, Log
   if (config_.last_pose) last_pose_ = std::make_unique<LastPoseFile>(*config_.last_pose, log_);
 }
 
-Daemon::~Daemon() = default;
+Daemon::~Daemon() { live_page_ = nullptr; }
 
 void Daemon::add_node(std::size_t node) {
   LinkInput::Setup setup;
@@ -156,12 +167,42 @@ link::LinkError Daemon::open_servers() {
     log_(fmt::format("ROS 2 in domain {}, topics in /{}; DDS listens on all interfaces, without a password",
                      config_.ros2->domain_id, config_.ros2->name_space));
   }
-  if (!config_.web) return {};
-  WebServer::Opened web = WebServer::open(loop_, *config_.web);
-  if (!web.server) return web.error;
-  web_server_ = std::move(web.server);
-  web_server_->serve("/metrics", "text/plain; version=0.0.4; charset=utf-8", [this] { return metrics(); });
-  log_(fmt::format("web server on {} port {}", config_.web->address, web_server_->port()));
+  return config_.web ? open_web(*config_.web) : link::LinkError{};
+}
+
+link::LinkError Daemon::open_web(const WebSettings& settings) {
+  WebSecrets secrets = read_secrets(settings);
+  try {
+    web_server_ = std::make_unique<web::Server>(loop_.context(), std::move(secrets.access), secrets.tls);
+  } catch (const std::runtime_error& error) {
+    throw io::DataError({settings.tls->certificate}, error.what(), "name the certificate and its own key");
+  }
+  TcpListener::Opened opened = TcpListener::open(
+      loop_, settings.endpoint, "web", [this](io::Descriptor client) { web_server_->add(std::move(client)); });
+  if (!opened.listener) return std::move(opened.error);
+  web_listener_ = std::move(opened.listener);
+
+  auto page = std::make_unique<LivePage>(loop_, config_, version_line(),
+                                         [this] { return pipeline_.session().robot_time_s(loop_.now_s()); });
+  auto foxglove = std::make_unique<FoxgloveLive>(loop_, config_);
+  web_server_->serve("/live", {.service = page.get(), .subprotocols = {"groma.live.v1"}});
+  web_server_->serve("/foxglove", {.service = foxglove.get(),
+                                   .subprotocols = {"foxglove.sdk.v1", "foxglove.websocket.v1"},
+                                   .needs_subprotocol = true});
+  web_server_->serve("/metrics", {"text/plain; version=0.0.4; charset=utf-8", [this] { return metrics(); }});
+  for (const web::PageFile& file : web::page_files()) {
+    web_server_->serve(std::string(file.path),
+                       {std::string(file.content_type), [&file] { return file.bytes; }, "gzip"});
+  }
+  if (web::page_files().empty()) web_server_->serve("/", {"text/html; charset=utf-8", [] { return kNoPage; }});
+  pipeline_.session().attach(*foxglove);
+  live_page_ = page.get();
+  outputs_.push_back(std::move(page));
+  outputs_.push_back(std::move(foxglove));
+  log_(fmt::format("{} on {}://{}{}{}:{}", web::page_files().empty() ? "no live page, but counters" : "live page",
+                   settings.tls ? "https" : "http", settings.endpoint.address.find(':') == std::string::npos ? "" : "[",
+                   settings.endpoint.address, settings.endpoint.address.find(':') == std::string::npos ? "" : "]",
+                   web_listener_->port()));
   return {};
 }
 

@@ -14,8 +14,10 @@
 
 #include "host/daemon/config.hpp"
 #include "host/daemon/event_loop.hpp"
+#include "host/daemon/foxglove_live.hpp"
 #include "host/daemon/last_pose.hpp"
 #include "host/daemon/link_input.hpp"
+#include "host/daemon/live_page.hpp"
 #include "host/daemon/log_recorder.hpp"
 #include "host/daemon/metrics_text.hpp"
 #include "host/daemon/mistake_watch.hpp"
@@ -27,7 +29,7 @@
 #include "host/daemon/ros2.hpp"
 #include "host/daemon/service_manager.hpp"
 #include "host/daemon/site_calibrator.hpp"
-#include "host/daemon/web_server.hpp"
+#include "host/web/server.hpp"
 
 namespace groma::daemon {
 
@@ -57,11 +59,14 @@ class Daemon {
   void poll() { loop_.poll(); }
 
   [[nodiscard]] std::uint16_t pose_port() const noexcept { return pose_server_->port(); }
+  // With `web` in the configuration.
+  [[nodiscard]] std::uint16_t web_port() const noexcept { return web_listener_->port(); }
 
  private:
   void add_node(std::size_t node);
   void add_robots();
   [[nodiscard]] link::LinkError open_servers();
+  [[nodiscard]] link::LinkError open_web(const WebSettings& settings);
   void tick();
   void take_signal(int signal_fd, const ServiceManager& manager);
   // Starts to read the configuration again.
@@ -85,6 +90,7 @@ class Daemon {
   void add_outputs(MetricsText& text) const;
 
   Config config_;
+  LivePage* live_page_ = nullptr;  // one of outputs_; it shows the log
   Log log_;
   EventLoop loop_;
   Pipeline pipeline_;
@@ -93,7 +99,8 @@ class Daemon {
   PoseServer* pose_server_ = nullptr;               // one of them
   Ros2* ros2_ = nullptr;                            // likewise
   std::vector<std::unique_ptr<LinkInput>> inputs_;  // the nodes in their order, then the robot's
-  std::unique_ptr<WebServer> web_server_;
+  std::unique_ptr<web::Server> web_server_;
+  std::unique_ptr<TcpListener> web_listener_;
   std::vector<std::unique_ptr<LogRecorder>> recorders_;
   std::optional<model::Calibration> known_;   // of the file, until open()
   std::optional<SiteCalibrator> calibrator_;  // from open() on

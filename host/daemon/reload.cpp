@@ -70,6 +70,13 @@ std::vector<std::string> check_config(const std::filesystem::path& path) {
   const ConfigReading reading = parse_config(path);
   std::vector<std::string> problems = texts_of(reading.problems);
   static_cast<void>(load_calibration(reading, problems));
+  if (reading.config.web) {
+    try {
+      static_cast<void>(read_secrets(*reading.config.web));
+    } catch (const io::Error& error) {
+      problems.push_back(fmt::format("{}: {}", io::to_string(reading.places.at("web")), error.what()));
+    }
+  }
   return problems;
 }
 

@@ -116,8 +116,8 @@ std::vector<ReportFile> collect_report(const ReportSource& source) {
   for (const std::string& line : examination.observation.lines) stream += line + "\n";
   if (examination.observation.pose.is_object()) stream += examination.observation.pose.dump() + "\n";
   files.push_back({"status.jsonl", stream});
-  if (reading.config.web) {
-    const std::string metrics = read_metrics(address_of(*reading.config.web));
+  if (reading.config.web && !reading.config.web->tls) {
+    const std::string metrics = read_metrics(*reading.config.web);
     files.push_back({"metrics.txt", metrics.empty() ? "/metrics does not answer\n" : metrics});
   }
   files.push_back({"log.txt", read_log(source.log)});

@@ -226,9 +226,11 @@ std::vector<Check> check_servers(const daemon::Config& config, const Observation
                   fmt::format("this is version {}: restart gromad after an update", io::program_version()));
     }
   }
-  if (!config.web || config.web->port == 0 || !runs) return {stream};
-  Check web{.kind = "output", .name = fmt::format("web {}", address_of(*config.web))};
-  if (read_metrics(address_of(*config.web)).empty()) {
+  if (!config.web || config.web->endpoint.port == 0 || !runs) return {stream};
+  Check web{.kind = "output", .name = fmt::format("web {}", address_of(config.web->endpoint))};
+  if (config.web->tls) {
+    web.facts.emplace_back("over TLS, which doctor does not check: open it in a browser");
+  } else if (read_metrics(*config.web).empty()) {
     web.facts.emplace_back("/metrics does not answer");
     web.fail(Verdict::kBad, "no-answer", "restart gromad; 'ss -lptn' shows which program listens there");
   } else {

@@ -10,7 +10,7 @@
 
 #include <nlohmann/json.hpp>
 
-#include "host/daemon/tcp_listener.hpp"
+#include "host/daemon/web_settings.hpp"
 #include "host/link/byte_link.hpp"
 
 namespace groma::doctor {
@@ -64,7 +64,7 @@ struct Observation {       // NOLINT(bugprone-exception-escape): moving JSON doe
 // Listens for for_s, and up to 3 s more until there are two statuses.
 [[nodiscard]] Observation observe(const std::string& address, double for_s);
 
-// The body of http://HOST:PORT/metrics, from the address tcp://HOST:PORT; empty if there is none.
-[[nodiscard]] std::string read_metrics(const std::string& address);
+// The body of gromad's /metrics; empty if there is none. Not over TLS.
+[[nodiscard]] std::string read_metrics(const daemon::WebSettings& web);
 
 }  // namespace groma::doctor

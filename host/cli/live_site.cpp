@@ -1,0 +1,145 @@
+#include "host/cli/live_site.hpp"
+
+#include <fmt/format.h>
+#include <spawn.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <atomic>
+#include <csignal>
+#include <filesystem>
+#include <string>
+#include <thread>
+#include <utility>
+
+#include "host/cli/demo_report.hpp"
+#include "host/cli/stop_signal.hpp"
+#include "host/cli/terminal.hpp"
+#include "host/io/dataset_writer.hpp"
+#include "host/io/error.hpp"
+#include "host/io/exit_code.hpp"
+#include "host/io/output_file.hpp"
+#include "host/simulation/drive_dataset.hpp"
+
+extern char** environ;  // NOLINT(readability-redundant-declaration): not every header declares it
+
+namespace groma::cli {
+namespace {
+
+constexpr double kHours = 12.0;
+
+// gromad beside this program.
+std::filesystem::path gromad() {
+  const std::filesystem::path path = std::filesystem::read_symlink("/proc/self/exe").parent_path() / "gromad";
+  if (!std::filesystem::exists(path))
+    throw io::DeviceError({path}, "does not exist", "build or install gromad beside groma");
+  return path;
+}
+
+// A running gromad, which is stopped at the end. If it ends by itself, so does this program's work: it gets
+// SIGTERM as if the user had sent it.
+class Gromad {
+ public:
+  explicit Gromad(const std::filesystem::path& configuration) {
+    const std::string program = gromad().string();
+    std::string file = configuration.string();
+    std::string name = "gromad";
+    std::string option = "--config";
+    char* arguments[] = {name.data(), option.data(), file.data(), nullptr};
+    if (::posix_spawn(&pid_, program.c_str(), nullptr, nullptr, arguments, environ) != 0)
+      throw io::DeviceError({program}, "cannot be started", "check its permissions");
+    watch_ = std::thread([this] {
+      siginfo_t info{};
+      ::waitid(P_PID, static_cast<id_t>(pid_), &info, WEXITED | WNOWAIT);
+      has_ended_ = true;
+      if (!is_stopping_) ::kill(::getpid(), SIGTERM);
+    });
+  }
+  ~Gromad() {
+    is_stopping_ = true;
+    if (!has_ended_) ::kill(pid_, SIGTERM);
+    watch_.join();
+    ::waitpid(pid_, nullptr, 0);
+  }
+  Gromad(const Gromad&) = delete;
+  Gromad& operator=(const Gromad&) = delete;
+
+  [[nodiscard]] bool has_ended() const noexcept { return has_ended_; }
+
+ private:
+  pid_t pid_ = 0;
+  std::atomic<bool> has_ended_ = false;
+  std::atomic<bool> is_stopping_ = false;
+  std::thread watch_;
+};
+
+std::string walls_text(const sim::Scenario& scenario) {
+  const report::Walls walls = walls_of(scenario);
+  std::string text = "x0_m,y0_m,x1_m,y1_m\n";
+  for (const auto* kind : {&walls.opaque, &walls.others}) {
+    for (const auto& [from_m, to_m] : *kind)
+      text += fmt::format("{},{},{},{}\n", from_m.x(), from_m.y(), to_m.x(), to_m.y());
+  }
+  return text;
+}
+
+// Site and robot as a data set describes them, with the keys that only gromad has in place of its name.
+std::string configuration(const sim::Scenario& scenario, const simulation::SiteServer& site, double speed,
+                          std::uint16_t port, const std::filesystem::path& folder) {
+  std::string text;
+  for (const io::DescriptionFile& file : io::describe(simulation::empty_dataset(scenario, "live"))) {
+    if (file.name == "dataset.yaml") {
+      text = file.text;
+    } else {
+      io::write_file(folder / file.name, file.text);
+    }
+  }
+  std::string out;
+  for (std::size_t begin = 0; begin < text.size();) {
+    const std::size_t end = text.find('\n', begin) + 1;
+    const std::string line = text.substr(begin, end - begin);
+    if (!line.starts_with("name:") && !line.starts_with("origin:")) out += line;
+    begin = end;
+  }
+  out += "nodes:\n";
+  for (const std::filesystem::path& path : site.ports()) out += fmt::format("  - {{path: {}}}\n", path.filename().string());
+  out += "tags:\n";
+  for (const model::Tag& tag : scenario.tags) {
+    out += fmt::format("  - {{id: {}, lever_arm_m: [{}, {}, {}]}}\n", tag.id, tag.lever_arm_m.x(),
+                       tag.lever_arm_m.y(), tag.lever_arm_m.z());
+  }
+  out += fmt::format(
+      "robot_socket: robot.sock\ncalibration: {{learn: true, output: calibration.yaml}}\n"
+      "pose_stream: {{port: 0}}\nweb: {{port: {}, walls: walls.csv, simulated: true}}\nspeed: {}\n",
+      port, speed);
+  return out;
+}
+
+}  // namespace
+
+sim::Scenario endless(sim::Scenario scenario) {
+  // A drive takes a minute at least.
+  constexpr auto kRepetitions = static_cast<std::size_t>(60.0 * kHours);
+  const sim::DriveLeg last = scenario.drives.back();
+  if (!scenario.path.loop) scenario.drives.insert(scenario.drives.end(), kRepetitions, last);
+  return scenario;
+}
+
+int run_live(const sim::Scenario& scenario, simulation::SiteServer::Options options, std::uint16_t port) {
+  const volatile std::sig_atomic_t& stop = stop_on_signals();
+  simulation::SiteServer server(scenario, options);
+  const std::filesystem::path& folder = options.folder;
+  io::write_file(folder / "walls.csv", walls_text(scenario));
+  io::write_file(folder / "gromad.yaml", configuration(scenario, server, options.speed, port, folder));
+  Gromad daemon(folder / "gromad.yaml");
+  say(fmt::format("running {}, with gromad --config {}\nlive page: http://127.0.0.1:{}\nend it with Ctrl-C\n",
+                  scenario.name, (folder / "gromad.yaml").string(), port));
+  flush_output();
+  stop_heartbeat();
+  server.run(stop);
+  if (daemon.has_ended())
+    throw io::DeviceError({folder / "gromad.yaml"}, "gromad has ended", "see above for what it logged");
+  return io::kGood;
+}
+
+}  // namespace groma::cli
