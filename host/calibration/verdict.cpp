@@ -49,13 +49,18 @@ constexpr double kHeldOutLimit = 3.0;  // times the predicted rms
 constexpr double kFarMove_m = 3.0;
 constexpr std::ptrdiff_t kMinAnchors = 3;  // geometry: a position in the plane needs three ranges
 
-// Octant of the direction from one point to the other. From the drive's center to the anchor: the side that
-// the drive covers least.
+constexpr double kOctant_rad = 0.25 * std::numbers::pi;
+
+// Octant of the direction from one point to the other, counterclockwise from +x: 0 to 7. From the drive's
+// center to the anchor: the side that the drive covers least.
+std::size_t octant_of(const Eigen::Vector3d& from_m, const Eigen::Vector3d& to_m) {
+  const double angle_rad = std::atan2(to_m.y() - from_m.y(), to_m.x() - from_m.x());
+  return static_cast<std::size_t>((std::lround(angle_rad / kOctant_rad) + 8) % 8);
+}
+
 std::string side_of(const Eigen::Vector3d& from_m, const Eigen::Vector3d& to_m) {
   static constexpr const char* kSides[] = {"+x", "+x+y", "+y", "-x+y", "-x", "-x-y", "-y", "+x-y"};
-  const double angle_rad = std::atan2(to_m.y() - from_m.y(), to_m.x() - from_m.x());
-  const long octant = std::lround(angle_rad / (0.25 * std::numbers::pi));
-  return kSides[static_cast<std::size_t>((octant + 8) % 8)];
+  return kSides[octant_of(from_m, to_m)];
 }
 
 std::string metres(double value_m) {
@@ -64,13 +69,23 @@ std::string metres(double value_m) {
   return text;
 }
 
+// How near to pass an anchor to improve the estimate.
+double pass_m(const AnchorEvidence& evidence) {
+  return std::max(2.0, std::min(3.0, 0.5 * evidence.nearest_m));
+}
+
 // Where to drive to improve the estimate: near the anchor, on its far side.
 std::string drive_advice(const AnchorEvidence& evidence, const Eigen::Vector3d& anchor_m) {
-  const double pass_m = std::max(2.0, std::min(3.0, 0.5 * evidence.nearest_m));
   char place[48];
   std::snprintf(place, sizeof place, "(%.1f, %.1f)", anchor_m.x(), anchor_m.y());
-  return "pass within " + metres(pass_m) + " of " + place + ", on its " +
+  return "pass within " + metres(pass_m(evidence)) + " of " + place + ", on its " +
          side_of(evidence.spread.center_m, anchor_m) + " side, and turn there";
+}
+
+// The same place on the map.
+Eigen::Vector2d place_to_pass(const AnchorEvidence& evidence, const Eigen::Vector3d& anchor_m) {
+  const double angle_rad = kOctant_rad * static_cast<double>(octant_of(evidence.spread.center_m, anchor_m));
+  return anchor_m.head<2>() + pass_m(evidence) * Eigen::Vector2d(std::cos(angle_rad), std::sin(angle_rad));
 }
 
 // A mirror hypothesis within this of the best solution's negative log likelihood cannot be ruled out: odds of
@@ -84,6 +99,7 @@ bool is_plausible(const std::optional<MirrorHypothesis>& mirror, double inflatio
 struct Opinion {
   AnchorVerdict verdict = AnchorVerdict::kOk;
   std::string advice;
+  bool says_where = false;  // to drive: drive_advice() is in it
 };
 
 std::string times_of(const MoveEvidence& moved) {
@@ -121,14 +137,15 @@ Opinion judge_move(const MoveEvidence& moved, bool is_placed) {
 std::optional<Opinion> judge_unsurveyed(const AnchorEvidence& evidence,
                                         const model::AnchorCalibration& anchor) {
   const std::string where = drive_advice(evidence, anchor.position_m);
-  if (is_hardly_los(evidence)) return Opinion{AnchorVerdict::kWeak, "hardly ever in line of sight: " + where};
+  if (is_hardly_los(evidence)) return Opinion{AnchorVerdict::kWeak, "hardly ever in line of sight: " + where, true};
   if (contradicts_itself(evidence)) {
     if (evidence.los_states->far_share + evidence.los_states->short_share > kTwoAnchors) {
       return Opinion{
           AnchorVerdict::kWeak,
-          "most of its ranges contradict the others: check whether two anchors have this id; else " + where};
+          "most of its ranges contradict the others: check whether two anchors have this id; else " + where,
+          true};
     }
-    return Opinion{AnchorVerdict::kWeak, "its ranges contradict each other, as reflections do: " + where};
+    return Opinion{AnchorVerdict::kWeak, "its ranges contradict each other, as reflections do: " + where, true};
   }
   return std::nullopt;
 }
@@ -180,7 +197,7 @@ Opinion judge_position(const AnchorEvidence& evidence, const model::AnchorCalibr
   const double weak_sigma_m =
       evidence.ignored_share > kHalfHidden ? kHalfHiddenWeakSigma_m : std::max(kWeakSigma_m, by_distance_m);
   if (sigma_xy_m > weak_sigma_m || is_plausible(evidence.side, evidence.inflation)) {
-    return {AnchorVerdict::kWeak, advice};
+    return {AnchorVerdict::kWeak, advice, true};
   }
   // Reflections at the end of the drive say nothing against a survey.
   const bool is_reflected = evidence.surveyed && contradicts_itself(evidence);
@@ -189,10 +206,10 @@ Opinion judge_position(const AnchorEvidence& evidence, const model::AnchorCalibr
             "the end of the drive contradicts its beginning: drive again, and check whether it was moved"};
   }
   if (is_plausible(evidence.mirror, evidence.inflation)) {
-    return {AnchorVerdict::kWeakZ, "it may be above or below the tags: measure its height, or " + advice};
+    return {AnchorVerdict::kWeakZ, "it may be above or below the tags: measure its height, or " + advice, true};
   }
   if (sigma_z_m > std::max(evidence.los_states ? kNlosWeakSigmaZ_m : kWeakSigmaZ_m, by_distance_m)) {
-    return {AnchorVerdict::kWeakZ, "height uncertain: " + advice};
+    return {AnchorVerdict::kWeakZ, "height uncertain: " + advice, true};
   }
   return {};
 }
@@ -232,6 +249,8 @@ void judge_anchor(const AnchorEvidence& evidence, model::AnchorCalibration& anch
   }
   anchor.verdict = opinion->verdict;
   anchor.advice = std::move(opinion->advice);
+  anchor.drive_to_m.reset();
+  if (opinion->says_where) anchor.drive_to_m = place_to_pass(evidence, anchor.position_m);
 }
 
 model::Verdict judge_site(std::span<const model::AnchorCalibration> anchors) {

@@ -230,6 +230,7 @@ std::vector<AnchorProgress> AnchorLearner::progress() const {
     progress.coverage = live != nullptr ? 1.0 : calibration::coverage(*anchor);
     progress.verdict = anchor->verdict;
     progress.advice = anchor->advice;
+    progress.drive_to_m = anchor->drive_to_m;
     progress.ranges_used = calibrated != nullptr ? calibrated->ranges_used : 0;
     if (model::has_position(*anchor)) progress.sigma_m = sigma_xy_m(*anchor);
   }

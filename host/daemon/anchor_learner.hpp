@@ -11,6 +11,8 @@
 #include <string_view>
 #include <vector>
 
+#include <Eigen/Core>
+
 #include "host/calibration/learning.hpp"
 #include "host/daemon/measurement_sink.hpp"
 #include "host/model/calibration.hpp"
@@ -36,6 +38,7 @@ struct AnchorProgress {
   double coverage = 0.0;  // share of the required data, 0 to 1; see calibration::coverage()
   model::AnchorVerdict verdict = model::AnchorVerdict::kNoData;
   std::string advice;
+  std::optional<Eigen::Vector2d> drive_to_m;  // the place that the advice names
   std::size_t ranges_used = 0;
   std::optional<double> sigma_m;  // the larger of x and y; none: no position yet
 };

@@ -63,12 +63,17 @@ constexpr std::string_view kNoPage =
     "<code>scripts/setup page</code>, build again and restart it. <a href=\"/metrics\">/metrics</a> has the "
     "counters; <code>/live</code> and <code>/foxglove</code> are WebSockets.</p></html>\n";
 
-// A frame that requests a node's Hello.
-std::vector<std::uint8_t> hello_request() {
+// Frames that request a node's Hello and its configuration.
+std::vector<std::uint8_t> introduction_requests() {
   groma_HostToNode message = groma_HostToNode_init_zero;
   message.request_id = 1;
   message.which_body = groma_HostToNode_get_hello_tag;
-  return link::request_frame(message);
+  std::vector<std::uint8_t> out = link::request_frame(message);
+  message.request_id = 2;
+  message.which_body = groma_HostToNode_read_config_tag;
+  const std::vector<std::uint8_t> second = link::request_frame(message);
+  out.insert(out.end(), second.begin(), second.end());
+  return out;
 }
 
 }  // namespace
@@ -105,7 +110,7 @@ void Daemon::add_node(std::size_t node) {
   setup.on_opened = [this, node](bool again) {
     if (again) pipeline_.node_reopened(node);
     // Do not wait for the answer.
-    static_cast<void>(inputs_.at(node)->link()->write(hello_request()));
+    static_cast<void>(inputs_.at(node)->link()->write(introduction_requests()));
   };
   setup.log = log_;
   inputs_.push_back(std::make_unique<LinkInput>(loop_, std::move(setup)));

@@ -16,7 +16,8 @@ NodeStatus node_status(const Session::Node& node) {
                                       frames.oversize + frames.cobs_errors + frames.truncated,
                     .bytes_discarded = frames.bytes_discarded,
                     .ranges = node.decoder().counters().ranges,
-                    .tag_id = node.tag_id()};
+                    .tag_id = node.tag_id(),
+                    .slots = node.slots()};
   if (node.hello()) status.hello = &*node.hello();
   if (node.network_status()) status.network = &*node.network_status();
   return status;

@@ -60,9 +60,30 @@ Json json_of(const std::optional<double>& value) {
   return value ? Json(*value) : Json(nullptr);
 }
 
+// The network time is the superframe's number times its duration, plus less than one.
+Json superframe_s(const groma_NetworkStatus& network) {
+  constexpr std::uint32_t kEnough = 100;  // superframes
+  if (network.superframe < kEnough || network.network_time_dtu == 0) return nullptr;
+  constexpr double kTick_s = 1.0 / (128.0 * 499.2e6);
+  return kTick_s * static_cast<double>(network.network_time_dtu) / (network.superframe + 0.5);
+}
+
+Json network_of(const NodeStatus& status) {
+  if (status.network == nullptr) return nullptr;
+  const groma_NetworkStatus& network = *status.network;
+  return {{"master", network.master_id},
+          {"slot", network.has_slot ? Json(network.slot) : Json(nullptr)},
+          {"slots", json_of(status.slots)},
+          {"superframe_s", superframe_s(network)},
+          {"candidates", network.candidates},
+          {"answering", network.answering},
+          {"hop", network.hop},
+          {"beacons_missed", network.beacons_missed}};
+}
+
 Json node_of(const NodeStatus& status) {
-  Json out{
-      {"id", nullptr}, {"role", nullptr}, {"network_id", nullptr}, {"version", nullptr}, {"sync", nullptr}};
+  Json out{{"id", nullptr},      {"role", nullptr}, {"network_id", nullptr},
+           {"version", nullptr}, {"sync", nullptr}, {"network", network_of(status)}};
   if (status.tag_id) out["id"] = *status.tag_id;
   if (status.network != nullptr) out["sync"] = link::sync_word(status.network->state);
   if (status.hello == nullptr) return out;
@@ -194,6 +215,7 @@ std::string calibration_line(model::Verdict verdict, std::span<const AnchorProgr
                         {"coverage", anchor.coverage},
                         {"verdict", io::word(anchor.verdict)},
                         {"advice", anchor.advice},
+                        {"drive_to_m", anchor.drive_to_m ? Json{anchor.drive_to_m->x(), anchor.drive_to_m->y()} : Json(nullptr)},
                         {"ranges_used", anchor.ranges_used},
                         {"sigma_m", anchor.sigma_m ? Json(*anchor.sigma_m) : Json(nullptr)}});
   }

@@ -25,6 +25,7 @@ struct NodeStatus {
   std::uint64_t bytes_discarded = 0;  // that belong to no frame
   std::uint64_t ranges = 0;
   std::optional<model::NodeId> tag_id{};         // of its last range
+  std::optional<std::uint32_t> slots{};          // of its schedule's superframe
   const groma_Hello* hello = nullptr;            // null: none yet
   const groma_NetworkStatus* network = nullptr;  // likewise
 };

@@ -59,6 +59,12 @@ void Session::Node::on_log(const groma_Log& log) {
   session_.say(fmt::format("{}: {}", name_, log.text));
 }
 
+void Session::Node::on_reply(const groma_Reply& reply) {
+  if (!reply.has_config || !reply.config.has_schedule) return;
+  const groma_Schedule& schedule = reply.config.schedule;
+  slots_ = schedule.slots > 0 ? schedule.slots : std::uint32_t{schedule.tag_ids_count};
+}
+
 Session::Session(SessionConfig config)
     : config_(std::move(config)),
       robot_clock_({.max_error_s = config_.max_clock_error_s, .set_after_s = config_.clock_set_after_s}) {

@@ -92,8 +92,10 @@ class Session {
     [[nodiscard]] const std::optional<groma_Counters>& node_counters() const noexcept { return counters_; }
     // Of its last range.
     [[nodiscard]] std::optional<model::NodeId> tag_id() const noexcept { return tag_id_; }
+    // Of its schedule's superframe; none: it has not answered what its configuration is.
+    [[nodiscard]] std::optional<std::uint32_t> slots() const noexcept { return slots_; }
 
-    void archive(model::StateArchive& state) { state(decoder_, hello_, status_, counters_); }
+    void archive(model::StateArchive& state) { state(decoder_, hello_, status_, counters_, slots_); }
 
    private:
     friend class Session;
@@ -102,6 +104,7 @@ class Session {
     void on_network_status(const groma_NetworkStatus& status) override { status_ = status; }
     void on_counters(const groma_Counters& counters) override { counters_ = counters; }
     void on_log(const groma_Log& log) override;
+    void on_reply(const groma_Reply& reply) override;
 
     Session& session_;
     std::string name_;
@@ -110,6 +113,7 @@ class Session {
     std::optional<groma_NetworkStatus> status_;
     std::optional<groma_Counters> counters_;
     std::optional<model::NodeId> tag_id_;
+    std::optional<std::uint32_t> slots_;
   };
 
   explicit Session(SessionConfig config = {});

@@ -37,11 +37,12 @@ struct AnchorCalibration {
   std::optional<double> held_out_robust_rms_m;  // from the median, so that outliers do not count
   std::optional<double> mirror_ratio;  // cost of the best solution over that of its mirror side, 0..1
   AnchorVerdict verdict = AnchorVerdict::kNoData;
-  std::string advice;  // empty when no action is needed
+  std::string advice;                         // empty when no action is needed
+  std::optional<Eigen::Vector2d> drive_to_m;  // the place that the advice names; not in a calibration file
 
   void archive(StateArchive& state) {
     state(id, position_m, pairs, covariance, ranges_used, ranges_rejected, held_out_rms_m,
-          held_out_robust_rms_m, mirror_ratio, verdict, advice);
+          held_out_robust_rms_m, mirror_ratio, verdict, advice, drive_to_m);
   }
 };
 
