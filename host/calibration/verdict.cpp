@@ -137,7 +137,8 @@ Opinion judge_move(const MoveEvidence& moved, bool is_placed) {
 std::optional<Opinion> judge_unsurveyed(const AnchorEvidence& evidence,
                                         const model::AnchorCalibration& anchor) {
   const std::string where = drive_advice(evidence, anchor.position_m);
-  if (is_hardly_los(evidence)) return Opinion{AnchorVerdict::kWeak, "hardly ever in line of sight: " + where, true};
+  if (is_hardly_los(evidence))
+    return Opinion{AnchorVerdict::kWeak, "hardly ever in line of sight: " + where, true};
   if (contradicts_itself(evidence)) {
     if (evidence.los_states->far_share + evidence.los_states->short_share > kTwoAnchors) {
       return Opinion{
@@ -145,7 +146,8 @@ std::optional<Opinion> judge_unsurveyed(const AnchorEvidence& evidence,
           "most of its ranges contradict the others: check whether two anchors have this id; else " + where,
           true};
     }
-    return Opinion{AnchorVerdict::kWeak, "its ranges contradict each other, as reflections do: " + where, true};
+    return Opinion{AnchorVerdict::kWeak, "its ranges contradict each other, as reflections do: " + where,
+                   true};
   }
   return std::nullopt;
 }
@@ -206,7 +208,8 @@ Opinion judge_position(const AnchorEvidence& evidence, const model::AnchorCalibr
             "the end of the drive contradicts its beginning: drive again, and check whether it was moved"};
   }
   if (is_plausible(evidence.mirror, evidence.inflation)) {
-    return {AnchorVerdict::kWeakZ, "it may be above or below the tags: measure its height, or " + advice, true};
+    return {AnchorVerdict::kWeakZ, "it may be above or below the tags: measure its height, or " + advice,
+            true};
   }
   if (sigma_z_m > std::max(evidence.los_states ? kNlosWeakSigmaZ_m : kWeakSigmaZ_m, by_distance_m)) {
     return {AnchorVerdict::kWeakZ, "height uncertain: " + advice, true};

@@ -5,9 +5,9 @@
 
 #include <cmath>
 #include <cstdint>
+#include <cstdlib>
 #include <filesystem>
 #include <memory>
-#include <cstdlib>
 #include <optional>
 #include <string>
 
@@ -67,9 +67,10 @@ class TemporaryFolder {
 
 int show_live(const DemoOptions& options, const sim::Scenario& scenario) {
   const TemporaryFolder folder;
-  return run_live(endless(scenario),
-                  {.site = {.seed = options.seed, .image = chosen_image(options.emulation)}, .folder = folder.path()},
-                  options.port);
+  return run_live(
+      endless(scenario),
+      {.site = {.seed = options.seed, .image = chosen_image(options.emulation)}, .folder = folder.path()},
+      options.port);
 }
 
 Json to_json(const simulation::DemoResult& result, std::uint64_t seed) {
@@ -196,7 +197,9 @@ void add_demo(CLI::App& app, Action& action) {
       ->type_name("DIR");
   command->add_flag("--live", options->live,
                     "Run the site in real time instead, with a gromad that serves its live page");
-  command->add_option("--port", options->port, "TCP port of the live page")->capture_default_str()->type_name("N");
+  command->add_option("--port", options->port, "TCP port of the live page")
+      ->capture_default_str()
+      ->type_name("N");
   command->add_flag("--json", options->json, "Print one JSON object");
   command->callback([options, &action] { action = [options] { return run(*options); }; });
 }

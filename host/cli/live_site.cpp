@@ -102,7 +102,8 @@ std::string configuration(const sim::Scenario& scenario, const simulation::SiteS
     begin = end;
   }
   out += "nodes:\n";
-  for (const std::filesystem::path& path : site.ports()) out += fmt::format("  - {{path: {}}}\n", path.filename().string());
+  for (const std::filesystem::path& path : site.ports())
+    out += fmt::format("  - {{path: {}}}\n", path.filename().string());
   out += "tags:\n";
   for (const model::Tag& tag : scenario.tags) {
     out += fmt::format("  - {{id: {}, lever_arm_m: [{}, {}, {}]}}\n", tag.id, tag.lever_arm_m.x(),

@@ -76,7 +76,9 @@ void add_sim(CLI::App& app, Action& action) {
       "Unconfigured nodes, for 'groma configure'; then anchors have ports, too: anchor-10 and so on");
   command->add_flag("--live", options->live,
                     "Also run gromad on the site, and print the address of its live page");
-  command->add_option("--port", options->port, "TCP port of the live page")->capture_default_str()->type_name("N");
+  command->add_option("--port", options->port, "TCP port of the live page")
+      ->capture_default_str()
+      ->type_name("N");
   command->add_option("--ports", options->server.folder, "Folder for tag-1 and so on, and robot.sock")
       ->required()
       ->type_name("DIR");

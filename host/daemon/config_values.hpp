@@ -12,7 +12,8 @@
 namespace groma::daemon {
 
 // A path relative to the folder. Throws io::ConfigError if the text is empty.
-[[nodiscard]] std::filesystem::path parse_path(const io::YamlValue& yaml, const std::filesystem::path& folder);
+[[nodiscard]] std::filesystem::path parse_path(const io::YamlValue& yaml,
+                                               const std::filesystem::path& folder);
 
 // Whether the text is an IPv4 or IPv6 address.
 [[nodiscard]] bool is_numeric_address(const std::string& text);

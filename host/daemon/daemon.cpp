@@ -57,12 +57,6 @@ LinkStatus link_status(const LinkInput& input) {
   return status;
 }
 
-// What "/" is if the page was not built.
-constexpr std::string_view kNoPage =
-    "<!DOCTYPE html><html lang=\"en\"><title>gromad</title><p>This gromad was built without its live page. Run "
-    "<code>scripts/setup page</code>, build again and restart it. <a href=\"/metrics\">/metrics</a> has the "
-    "counters; <code>/live</code> and <code>/foxglove</code> are WebSockets.</p></html>\n";
-
 // Frames that request a node's Hello and its configuration.
 std::vector<std::uint8_t> introduction_requests() {
   groma_HostToNode message = groma_HostToNode_init_zero;
@@ -97,7 +91,9 @@ Daemon::Daemon(Config config, std::optional<model::Calibration> calibration, Log
   if (config_.last_pose) last_pose_ = std::make_unique<LastPoseFile>(*config_.last_pose, log_);
 }
 
-Daemon::~Daemon() { live_page_ = nullptr; }
+Daemon::~Daemon() {
+  live_page_ = nullptr;
+}
 
 void Daemon::add_node(std::size_t node) {
   LinkInput::Setup setup;
@@ -180,10 +176,13 @@ link::LinkError Daemon::open_web(const WebSettings& settings) {
   try {
     web_server_ = std::make_unique<web::Server>(loop_.context(), std::move(secrets.access), secrets.tls);
   } catch (const std::runtime_error& error) {
-    throw io::DataError({settings.tls->certificate}, error.what(), "name the certificate and its own key");
+    throw io::DataError({settings.tls->certificate},
+                        fmt::format("cannot serve TLS with its key: {}", error.what()),
+                        "give the certificate and its own key as PEM files");
   }
-  TcpListener::Opened opened = TcpListener::open(
-      loop_, settings.endpoint, "web", [this](io::Descriptor client) { web_server_->add(std::move(client)); });
+  TcpListener::Opened opened =
+      TcpListener::open(loop_, settings.endpoint, "web",
+                        [this](io::Descriptor client) { web_server_->add(std::move(client)); });
   if (!opened.listener) return std::move(opened.error);
   web_listener_ = std::move(opened.listener);
 
@@ -199,15 +198,18 @@ link::LinkError Daemon::open_web(const WebSettings& settings) {
     web_server_->serve(std::string(file.path),
                        {std::string(file.content_type), [&file] { return file.bytes; }, "gzip"});
   }
-  if (web::page_files().empty()) web_server_->serve("/", {"text/html; charset=utf-8", [] { return kNoPage; }});
+  if (web::page_files().empty())
+    web_server_->serve("/", {"text/html; charset=utf-8", [] { return web::kNoPage; }});
   pipeline_.session().attach(*foxglove);
   live_page_ = page.get();
   outputs_.push_back(std::move(page));
   outputs_.push_back(std::move(foxglove));
-  log_(fmt::format("{} on {}://{}{}{}:{}", web::page_files().empty() ? "no live page, but counters" : "live page",
-                   settings.tls ? "https" : "http", settings.endpoint.address.find(':') == std::string::npos ? "" : "[",
-                   settings.endpoint.address, settings.endpoint.address.find(':') == std::string::npos ? "" : "]",
-                   web_listener_->port()));
+  const std::string& address = settings.endpoint.address;
+  const bool is_v6 = address.find(':') != std::string::npos;
+  log_(fmt::format("web server on {} port {}", address, web_listener_->port()));
+  log_(fmt::format(
+      "{}: {}://{}{}{}:{}", web::page_files().empty() ? "no live page, but counters" : "live page",
+      settings.tls ? "https" : "http", is_v6 ? "[" : "", address, is_v6 ? "]" : "", web_listener_->port()));
   return {};
 }
 

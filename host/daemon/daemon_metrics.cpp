@@ -266,7 +266,8 @@ void Daemon::add_outputs(MetricsText& text) const {
   add_each(text, "groma_web_clients_total", "Clients of the web server, by what became of them.", "event",
            {{"accepted", web.accepted}, {"refused", web.refused}, {"timed_out", web.timed_out}});
   add_one(text, "groma_web_requests_total", "Answers of the web server.", web.requests);
-  add_one(text, "groma_web_requests_forbidden_total", "Of those: wrong host, origin or token.", web.forbidden);
+  add_one(text, "groma_web_requests_forbidden_total", "Of those: wrong host, origin or token.",
+          web.forbidden);
   add_one(text, "groma_web_sockets_total", "WebSockets opened.", web.sockets);
   add_each(text, "groma_web_messages_total", "Messages of WebSockets, by what became of them.", "event",
            {{"sent", web.messages}, {"left_out", web.left_out}, {"ignored", web.ignored}});

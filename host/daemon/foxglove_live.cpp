@@ -41,9 +41,9 @@ constexpr char kTime = 2;
 
 std::string base64(std::string_view bytes) {
   std::string out(4 * ((bytes.size() + 2) / 3) + 1, '\0');  // the function ends it with a zero
-  const int size = ::EVP_EncodeBlock(reinterpret_cast<unsigned char*>(out.data()),
-                                     reinterpret_cast<const unsigned char*>(bytes.data()),
-                                     static_cast<int>(bytes.size()));
+  const int size =
+      ::EVP_EncodeBlock(reinterpret_cast<unsigned char*>(out.data()),
+                        reinterpret_cast<const unsigned char*>(bytes.data()), static_cast<int>(bytes.size()));
   out.resize(static_cast<std::size_t>(size));
   return out;
 }
@@ -53,7 +53,9 @@ void append(std::string& out, Number number) {
   for (std::size_t i = 0; i < sizeof(number); ++i) out += static_cast<char>((number >> (8 * i)) & 0xFFU);
 }
 
-web::Socket::Message shared(std::string text) { return std::make_shared<const std::string>(std::move(text)); }
+web::Socket::Message shared(std::string text) {
+  return std::make_shared<const std::string>(std::move(text));
+}
 
 web::Socket::Message advertisement() {
   const std::string schemas = base64(convert::protobuf_schemas());
@@ -71,10 +73,10 @@ web::Socket::Message advertisement() {
 
 web::Socket::Message server_info() {
   return shared(Json{{"op", "serverInfo"},
-                         {"name", std::string("gromad ") + std::string(io::program_version())},
-                         {"capabilities", {"time"}},
-                         {"metadata", Json::object()}}
-                        .dump());
+                     {"name", std::string("gromad ") + std::string(io::program_version())},
+                     {"capabilities", {"time"}},
+                     {"metadata", Json::object()}}
+                    .dump());
 }
 
 convert::Estimate estimate_of(const PoseEstimate& pose) {
@@ -163,7 +165,9 @@ void FoxgloveLive::on_open(web::Socket& socket) {
   socket.send(kAdvertisement, web::Socket::Kind::kText);
 }
 
-void FoxgloveLive::on_close(web::Socket& socket) { clients_.erase(&socket); }
+void FoxgloveLive::on_close(web::Socket& socket) {
+  clients_.erase(&socket);
+}
 
 bool FoxgloveLive::on_text(web::Socket& socket, std::string_view text) {
   const Json json = Json::parse(text, nullptr, false);

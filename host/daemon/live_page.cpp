@@ -18,8 +18,8 @@ namespace {
 
 using Json = nlohmann::ordered_json;
 
-constexpr double kPosesBetween_s = 0.25;     // in the history; likewise
-constexpr double kStatusesBetween_s = 1.9;   // every second one
+constexpr double kPosesBetween_s = 0.25;        // in the history; likewise
+constexpr double kStatusesBetween_s = 1.9;      // every second one
 constexpr std::size_t kHistoryAtOnce = 65'536;  // bytes for one client
 constexpr std::size_t kPoseReserve = 4096;      // as PoseWriter
 
@@ -28,9 +28,13 @@ web::Socket::Message message_of(std::string_view line) {
   return std::make_shared<const std::string>(line);
 }
 
-std::string text_of(const Json& json) { return json.dump(-1, ' ', false, Json::error_handler_t::replace); }
+std::string text_of(const Json& json) {
+  return json.dump(-1, ' ', false, Json::error_handler_t::replace);
+}
 
-Json array_of(const Eigen::Vector3d& of) { return {of.x(), of.y(), of.z()}; }
+Json array_of(const Eigen::Vector3d& of) {
+  return {of.x(), of.y(), of.z()};
+}
 
 Json outline_of(const model::Chart& chart) {
   std::vector<Eigen::Vector2d> corners = chart.domain_m;
@@ -61,7 +65,9 @@ Json anchor_of(const model::AnchorCalibration& anchor) {
   return out;
 }
 
-Json json_of_time(const std::optional<double>& t_s) { return t_s ? Json(*t_s) : Json(nullptr); }
+Json json_of_time(const std::optional<double>& t_s) {
+  return t_s ? Json(*t_s) : Json(nullptr);
+}
 
 }  // namespace
 
@@ -107,7 +113,8 @@ void LivePage::on_calibration(const model::Calibration& calibration) {
             {"t_s", json_of_time(robot_time_())},
             {"verdict", io::word(calibration.verdict)},
             {"anchors", Json::array()}};
-  for (const model::AnchorCalibration& anchor : calibration.anchors) json["anchors"].push_back(anchor_of(anchor));
+  for (const model::AnchorCalibration& anchor : calibration.anchors)
+    json["anchors"].push_back(anchor_of(anchor));
   anchors_ = text_of(json);
   keep(anchors_);
   send(anchors_);
@@ -147,13 +154,14 @@ void LivePage::on_open(web::Socket& socket) {
   socket.send(message_of(site_line()), Kind::kText);
   // It may be older than the history.
   if (!anchors_.empty()) socket.send(message_of(anchors_), Kind::kText);
-  const Json begin{
-      {"class", "HISTORY"}, {"state", "begin"}, {"messages", history_.end() - history_.begin()}};
+  const Json begin{{"class", "HISTORY"}, {"state", "begin"}, {"messages", history_.end() - history_.begin()}};
   socket.send(message_of(text_of(begin)), Kind::kText);
   clients_[&socket] = history_.begin();
 }
 
-void LivePage::on_close(web::Socket& socket) { clients_.erase(&socket); }
+void LivePage::on_close(web::Socket& socket) {
+  clients_.erase(&socket);
+}
 
 void LivePage::on_drained(web::Socket& socket) {
   const auto client = clients_.find(&socket);

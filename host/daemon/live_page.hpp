@@ -18,8 +18,8 @@ namespace groma::daemon {
 
 class LivePage : public Output, public web::SocketService {
  public:
-  static constexpr double kPeriod_s = 0.05;           // of POSE
-  static constexpr double kHistory_s = 600.0;         // what a new client gets
+  static constexpr double kPeriod_s = 0.05;    // of POSE
+  static constexpr double kHistory_s = 600.0;  // what a new client gets
   static constexpr std::size_t kHistoryBytes = 8U << 20U;
   static constexpr std::size_t kHistoryLines = 16'384;
 

@@ -210,14 +210,16 @@ std::string pose_line(const PoseEstimate& pose, std::string_view frame, std::str
 std::string calibration_line(model::Verdict verdict, std::span<const AnchorProgress> anchors) {
   Json list = Json::array();
   for (const AnchorProgress& anchor : anchors) {
-    list.push_back(Json{{"id", anchor.id},
-                        {"state", state_word(anchor.state)},
-                        {"coverage", anchor.coverage},
-                        {"verdict", io::word(anchor.verdict)},
-                        {"advice", anchor.advice},
-                        {"drive_to_m", anchor.drive_to_m ? Json{anchor.drive_to_m->x(), anchor.drive_to_m->y()} : Json(nullptr)},
-                        {"ranges_used", anchor.ranges_used},
-                        {"sigma_m", anchor.sigma_m ? Json(*anchor.sigma_m) : Json(nullptr)}});
+    list.push_back(
+        Json{{"id", anchor.id},
+             {"state", state_word(anchor.state)},
+             {"coverage", anchor.coverage},
+             {"verdict", io::word(anchor.verdict)},
+             {"advice", anchor.advice},
+             {"drive_to_m",
+              anchor.drive_to_m ? Json{anchor.drive_to_m->x(), anchor.drive_to_m->y()} : Json(nullptr)},
+             {"ranges_used", anchor.ranges_used},
+             {"sigma_m", anchor.sigma_m ? Json(*anchor.sigma_m) : Json(nullptr)}});
   }
   return line({{"class", "CALIBRATION"}, {"verdict", io::word(verdict)}, {"anchors", std::move(list)}});
 }

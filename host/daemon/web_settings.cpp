@@ -20,7 +20,9 @@ using io::YamlValue;
 constexpr std::size_t kMinToken = 16;  // characters: 64 bits as hexadecimal digits
 constexpr std::size_t kMaxWalls = 10'000;
 
-bool is_loopback(const std::string& address) { return address.starts_with("127.") || address == "::1"; }
+bool is_loopback(const std::string& address) {
+  return address.starts_with("127.") || address == "::1";
+}
 
 std::vector<std::string> parse_names(const YamlValue& yaml) {
   std::vector<std::string> out;
@@ -47,7 +49,8 @@ void parse_origins(const YamlValue& yaml, WebSettings& out) {
     const std::string text = each.text();
     const std::size_t scheme = text.find("://");
     if (scheme == std::string::npos || scheme == 0 || text.find('/', scheme + 3) != std::string::npos)
-      each.fail("is no origin", "write scheme, host and port as the browser sends them, as https://viewer.example");
+      each.fail("is no origin",
+                "write scheme, host and port as the browser sends them, as https://viewer.example");
   }
 }
 
@@ -95,12 +98,14 @@ YamlType web_type() {
   keys.push_back({"origins", YamlType::list(YamlType::text()),
                   "Origins of other pages that may read, such as https://viewer.example.", false});
   keys.push_back({"token_file", YamlType::text(), "File with the token that clients have to know.", false});
-  keys.push_back({"tls",
-                  YamlType::map({{"certificate", YamlType::text(), "PEM file: the certificate and its chain."},
-                                 {"key", YamlType::text(), "PEM file: the private key."}}),
-                  "TLS in place of plain HTTP.", false});
+  keys.push_back(
+      {"tls",
+       YamlType::map({{"certificate", YamlType::text(), "PEM file: the certificate and its chain."},
+                      {"key", YamlType::text(), "PEM file: the private key."}}),
+       "TLS in place of plain HTTP.", false});
   keys.push_back({"walls", YamlType::text(), "CSV file with the walls of the page's map.", false});
-  keys.push_back({"simulated", YamlType::boolean(), "Whether the page says that the site is simulated.", false});
+  keys.push_back(
+      {"simulated", YamlType::boolean(), "Whether the page says that the site is simulated.", false});
   return YamlType::map(std::move(keys));
 }
 
@@ -111,7 +116,8 @@ WebSettings parse_web(const YamlValue& yaml, const std::filesystem::path& folder
   if (const auto origins = yaml.find("origins")) parse_origins(*origins, out);
   if (const auto token = yaml.find("token_file")) out.token_file = parse_path(*token, folder);
   if (const auto tls = yaml.find("tls"))
-    out.tls = WebSettings::Tls{parse_path(tls->at("certificate"), folder), parse_path(tls->at("key"), folder)};
+    out.tls =
+        WebSettings::Tls{parse_path(tls->at("certificate"), folder), parse_path(tls->at("key"), folder)};
   if (const auto walls = yaml.find("walls")) out.walls = read_walls(parse_path(*walls, folder), files);
   if (const auto simulated = yaml.find("simulated")) out.is_simulated = simulated->text() == "true";
   if (!is_loopback(out.endpoint.address) && !(out.token_file && out.tls)) {

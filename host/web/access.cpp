@@ -25,8 +25,10 @@ std::string lower_case(std::string_view text) {
 
 // The host of HOST[:PORT], without the brackets of an IPv6 address.
 std::string host_of(std::string_view authority) {
-  if (!authority.empty() && authority.front() == '[')
-    return std::string(authority.substr(1, authority.find(']') - 1));
+  if (!authority.empty() && authority.front() == '[') {
+    const std::size_t end = authority.find(']');
+    return end == std::string_view::npos ? std::string() : std::string(authority.substr(1, end - 1));
+  }
   return lower_case(authority.substr(0, authority.rfind(':')));
 }
 
@@ -86,7 +88,8 @@ Access judge(const AccessRules& rules, const Sender& sender) {
 std::string_view explain(Access access) {
   switch (access) {
     case Access::kWrongHost:
-      return "this name is none of gromad's: use its numeric address, or add the name to 'hosts' of the key 'web'\n";
+      return "this name is none of gromad's: use its numeric address, or add the name to 'hosts' of the key "
+             "'web'\n";
     case Access::kWrongOrigin:
       return "a page of another origin asks: add its origin to 'origins' of the key 'web' if you trust it\n";
     case Access::kNoToken:

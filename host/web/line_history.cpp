@@ -14,7 +14,7 @@ std::string_view LineHistory::at(std::uint64_t number) const noexcept {
 void LineHistory::push(std::string_view text_to_keep, double now_s) {
   while (begin_ < end_ && text(begin_).at_s < now_s - age_s_) ++begin_;
   const std::size_t size = text_to_keep.size();
-  if (size > bytes_.size()) return;
+  if (size == 0 || size > bytes_.size()) return;
   if (next_ + size > bytes_.size()) {  // each text is in one piece
     free(next_, bytes_.size() - next_);
     next_ = 0;
@@ -29,7 +29,8 @@ void LineHistory::push(std::string_view text_to_keep, double now_s) {
 
 // Texts lie in the order of their numbers, so that those in the way are the oldest.
 void LineHistory::free(std::size_t offset, std::size_t size) {
-  while (begin_ < end_ && text(begin_).offset < offset + size && text(begin_).offset + text(begin_).size > offset)
+  while (begin_ < end_ && text(begin_).offset < offset + size &&
+         text(begin_).offset + text(begin_).size > offset)
     ++begin_;
 }
 

@@ -13,7 +13,7 @@ class LineHistory {
   // Keeps at most this many bytes and texts, and none that is older than age_s. All memory is taken here.
   LineHistory(std::size_t bytes, std::size_t texts, double age_s);
 
-  // now_s never decreases. Without the heap. A text longer than all the memory is left out.
+  // now_s never decreases. Without the heap. An empty text, and one longer than all the memory, are left out.
   void push(std::string_view text, double now_s);
 
   // Texts are numbered from 0 on; those from begin() to end() are kept.
@@ -28,7 +28,9 @@ class LineHistory {
     std::size_t size = 0;
     double at_s = 0.0;
   };
-  [[nodiscard]] const Text& text(std::uint64_t number) const noexcept { return texts_[number % texts_.size()]; }
+  [[nodiscard]] const Text& text(std::uint64_t number) const noexcept {
+    return texts_[number % texts_.size()];
+  }
   // Drops the oldest texts as long as they lie within these bytes.
   void free(std::size_t offset, std::size_t size);
 

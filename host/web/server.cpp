@@ -1,9 +1,10 @@
 #include "host/web/server.hpp"
 
+#include <openssl/ssl.h>
+
 #include <algorithm>
 #include <chrono>
 #include <deque>
-#include <stdexcept>
 #include <utility>
 
 #include <boost/asio/buffer.hpp>
@@ -23,7 +24,6 @@
 #include <boost/beast/http/write.hpp>
 #include <boost/beast/websocket/rfc6455.hpp>
 #include <boost/beast/websocket/stream.hpp>
-#include <openssl/ssl.h>
 
 #include "host/web/stream.hpp"
 
@@ -46,7 +46,9 @@ constexpr int kSendBuffer = 65'536;
 constexpr const char* kPolicy =
     "default-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data:; frame-ancestors 'none'";
 
-std::string_view view(beast::string_view text) { return {text.data(), text.size()}; }
+std::string_view view(beast::string_view text) {
+  return {text.data(), text.size()};
+}
 
 struct Target {
   std::string_view path;
@@ -84,11 +86,8 @@ std::unique_ptr<asio::ssl::context> make_tls(const TlsTexts& texts) {
   context->set_options(asio::ssl::context::default_workarounds | asio::ssl::context::no_sslv2 |
                        asio::ssl::context::no_sslv3 | asio::ssl::context::no_tlsv1 |
                        asio::ssl::context::no_tlsv1_1);
-  Error error;
-  context->use_certificate_chain(asio::buffer(texts.certificate_pem), error);
-  if (error) throw std::runtime_error("holds no certificate in PEM form (" + error.message() + ")");
-  context->use_private_key(asio::buffer(texts.key_pem), asio::ssl::context::pem, error);
-  if (error) throw std::runtime_error("has no private key that belongs to it (" + error.message() + ")");
+  context->use_certificate_chain(asio::buffer(texts.certificate_pem));
+  context->use_private_key(asio::buffer(texts.key_pem), asio::ssl::context::pem);
   return context;
 }
 
@@ -119,7 +118,8 @@ class Server::WebSocket : public Socket, public std::enable_shared_from_this<Web
     stream_.set_option(websocket::stream_base::decorator([this](websocket::response_type& response) {
       if (!subprotocol_.empty()) response.set(http::field::sec_websocket_protocol, subprotocol_);
     }));
-    stream_.async_accept(request, [self = shared_from_this()](const Error& error) { self->on_accepted(error); });
+    stream_.async_accept(request,
+                         [self = shared_from_this()](const Error& error) { self->on_accepted(error); });
   }
 
   bool send(Message message, Kind kind) override {
@@ -157,7 +157,8 @@ class Server::WebSocket : public Socket, public std::enable_shared_from_this<Web
   }
 
   void read() {
-    stream_.async_read(buffer_, [self = shared_from_this()](const Error& error, std::size_t) { self->on_read(error); });
+    stream_.async_read(
+        buffer_, [self = shared_from_this()](const Error& error, std::size_t) { self->on_read(error); });
   }
 
   void on_read(const Error& error) {
@@ -285,7 +286,8 @@ class Server::Client : public std::enable_shared_from_this<Client> {
   void refuse(Access access) {
     ++server_->counters_.forbidden;
     const bool lacks_token = access == Access::kNoToken;
-    prepare(lacks_token ? http::status::unauthorized : http::status::forbidden, "text/plain", explain(access));
+    prepare(lacks_token ? http::status::unauthorized : http::status::forbidden, "text/plain",
+            explain(access));
     if (lacks_token) response_.set(http::field::www_authenticate, "Bearer");
     write();
   }
@@ -294,9 +296,9 @@ class Server::Client : public std::enable_shared_from_this<Client> {
   void exchange_token() {
     prepare(http::status::see_other, "text/plain", "");
     response_.set(http::field::location, "/");
-    response_.set(http::field::set_cookie,
-                  std::string(kTokenCookie) + "=" + server_->rules_.token + "; Path=/; HttpOnly; SameSite=Strict" +
-                      (server_->tls_ != nullptr ? "; Secure" : ""));
+    response_.set(http::field::set_cookie, std::string(kTokenCookie) + "=" + server_->rules_.token +
+                                               "; Path=/; HttpOnly; SameSite=Strict" +
+                                               (server_->tls_ != nullptr ? "; Secure" : ""));
     write();
   }
 
@@ -374,9 +376,13 @@ Server::~Server() {
   for (WebSocket* socket : sockets_) socket->abandon();
 }
 
-void Server::serve(std::string path, Page page) { pages_[std::move(path)] = std::move(page); }
+void Server::serve(std::string path, Page page) {
+  pages_[std::move(path)] = std::move(page);
+}
 
-void Server::serve(std::string path, SocketPath sockets) { socket_paths_[std::move(path)] = std::move(sockets); }
+void Server::serve(std::string path, SocketPath sockets) {
+  socket_paths_[std::move(path)] = std::move(sockets);
+}
 
 void Server::add(io::Descriptor fd) {
   if (clients_.size() + sockets_.size() >= kMaxClients && !make_place()) {
@@ -395,7 +401,8 @@ void Server::add(io::Descriptor fd) {
 }
 
 bool Server::make_place() {
-  const auto silent = std::find_if(clients_.begin(), clients_.end(), [](const Client* client) { return client->is_silent(); });
+  const auto silent = std::find_if(clients_.begin(), clients_.end(),
+                                   [](const Client* client) { return client->is_silent(); });
   if (silent == clients_.end()) return false;
   Client* const client = *silent;
   clients_.erase(silent);

@@ -27,15 +27,15 @@ class context;
 namespace groma::web {
 
 struct Counters {
-  std::uint64_t accepted = 0;      // clients
-  std::uint64_t refused = 0;       // kMaxClients others were busy
-  std::uint64_t requests = 0;      // answered, with any status
-  std::uint64_t forbidden = 0;     // of those: wrong host, origin or token
-  std::uint64_t timed_out = 0;     // clients that were silent, or did not take the answer
-  std::uint64_t sockets = 0;       // WebSockets opened
-  std::uint64_t messages = 0;      // sent to WebSockets
-  std::uint64_t left_out = 0;      // messages for which a client was too slow
-  std::uint64_t ignored = 0;       // messages of clients that say nothing to the server
+  std::uint64_t accepted = 0;   // clients
+  std::uint64_t refused = 0;    // kMaxClients others were busy
+  std::uint64_t requests = 0;   // answered, with any status
+  std::uint64_t forbidden = 0;  // of those: wrong host, origin or token
+  std::uint64_t timed_out = 0;  // clients that were silent, or did not take the answer
+  std::uint64_t sockets = 0;    // WebSockets opened
+  std::uint64_t messages = 0;   // sent to WebSockets
+  std::uint64_t left_out = 0;   // messages for which a client was too slow
+  std::uint64_t ignored = 0;    // messages of clients that say nothing to the server
 };
 
 // An open WebSocket, valid from on_open() to on_close().
@@ -89,10 +89,11 @@ class Server {
   static constexpr std::size_t kMaxSockets = 16;
   static constexpr std::size_t kMaxRequest = 8192;  // bytes of a request's header; it has no body
   static constexpr std::size_t kMaxMessage = 4096;  // bytes of a client's message
-  static constexpr int kPatience_s = 10;  // for a request, and for the client to take the answer
-  static constexpr int kSilence_s = 20;   // for a WebSocket's client to answer a ping
+  static constexpr int kPatience_s = 10;            // for a request, and for the client to take the answer
+  static constexpr int kSilence_s = 20;             // for a WebSocket's client to answer a ping
 
-  // Throws std::runtime_error, with the cause, if certificate and key are none or do not belong together.
+  // Throws std::runtime_error, with OpenSSL's reason, if certificate and key are none or do not belong
+  // together.
   Server(boost::asio::io_context& context, AccessRules rules, const std::optional<TlsTexts>& tls);
   ~Server();
   Server(const Server&) = delete;
@@ -116,7 +117,8 @@ class Server {
   };
   void serve(std::string path, SocketPath sockets);
 
-  // Serves a connected client. If all places are taken, the one that has been silent for longest loses its own.
+  // Serves a connected client. If all places are taken, the one that has been silent for longest loses its
+  // own.
   void add(io::Descriptor client);
 
   [[nodiscard]] const Counters& counters() const noexcept { return counters_; }
@@ -136,7 +138,7 @@ class Server {
   std::map<std::string, Page, std::less<>> pages_;
   std::map<std::string, SocketPath, std::less<>> socket_paths_;
   Counters counters_;
-  std::list<Client*> clients_;  // in the order of arrival; each is owned by its operation on the context
+  std::list<Client*> clients_;     // in the order of arrival; each is owned by its operation on the context
   std::list<WebSocket*> sockets_;  // likewise
   std::chrono::steady_clock::time_point handshake_{};  // the last one's
 };

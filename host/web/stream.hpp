@@ -1,4 +1,5 @@
-// A client's connection: TCP, or TLS over it. One type for both, so that HTTP and WebSocket are compiled once.
+// A client's connection: TCP, or TLS over it. One type for both, so that HTTP and WebSocket are compiled
+// once.
 #pragma once
 
 #include <chrono>
@@ -64,6 +65,8 @@ void async_teardown(boost::beast::role_type role, Stream& stream, Handler&& hand
 inline void teardown(boost::beast::role_type role, Stream& stream, boost::beast::error_code& error) {
   boost::beast::websocket::teardown(role, stream.next_layer().socket(), error);
 }
-inline void beast_close_socket(Stream& stream) { stream.close(); }
+inline void beast_close_socket(Stream& stream) {
+  stream.close();
+}
 
 }  // namespace groma::web

@@ -29,10 +29,10 @@
 #include "host/io/descriptor.hpp"
 #include "host/io/exit_code.hpp"
 #include "test/host/daemon/gromad_process.hpp"
-#include "test/host/daemon/tcp_client.hpp"
 #include "test/host/daemon/temporary_folder.hpp"
 #include "test/latency/allocation_counter.hpp"
 #include "test/latency/load_generator.hpp"
+#include "test/support/tcp_client.hpp"
 
 namespace groma::latency {
 namespace {
@@ -144,7 +144,7 @@ class PoseClient {
     tracking_[i] = line.find(R"("state":"TRACKING")") != std::string_view::npos;
   }
 
-  daemon::test::TcpClient client_;
+  groma::test::TcpClient client_;
   std::vector<std::int64_t> arrived_ns_;
   std::vector<bool> tracking_;
   double last_ = -1.0;

@@ -32,10 +32,12 @@
 #include "host/model/calibration.hpp"
 #include "test/host/daemon/gromad_process.hpp"
 #include "test/host/daemon/simulated_site.hpp"
-#include "test/host/daemon/tcp_client.hpp"
 #include "test/host/daemon/temporary_folder.hpp"
+#include "test/support/tcp_client.hpp"
 
 namespace groma::daemon::test {
+
+using groma::test::TcpClient;
 
 // What was measured over some time.
 struct Measured {

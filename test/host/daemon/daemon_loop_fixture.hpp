@@ -19,15 +19,15 @@
 #include "host/daemon/daemon.hpp"
 #include "test/host/daemon/circle_drive.hpp"
 #include "test/host/daemon/prometheus_parser.hpp"
-#include "test/host/daemon/tcp_client.hpp"
 #include "test/host/daemon/temporary_folder.hpp"
+#include "test/support/tcp_client.hpp"
 
 namespace groma::daemon {
 
+using groma::test::TcpClient;
 using groma::test::TemporaryFolder;
 using test::CircleDrive;
 using test::Labels;
-using test::TcpClient;
 using ::testing::HasSubstr;
 using ::testing::StartsWith;
 
@@ -61,7 +61,7 @@ class DaemonLoop : public ::testing::Test {
   DaemonLoop() {
     config_.nodes[0].path = folder_ / "tag-1";
     config_.robot_socket = folder_ / "robot.sock";
-    config_.web = Endpoint{.address = "127.0.0.1", .port = 0};
+    config_.web.emplace().endpoint.port = 0;
   }
 
   void start() {
@@ -93,8 +93,8 @@ class DaemonLoop : public ::testing::Test {
     return static_cast<std::uint16_t>(std::stoi(log_.substr(log_.find(key) + key.size())));
   }
   std::string get(const std::string& path) {
-    TcpClient client(port("web server"));
-    EXPECT_TRUE(client.send("GET " + path + " HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n"));
+    TcpClient client(daemon_->web_port());
+    EXPECT_TRUE(client.send("GET " + path + " HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n"));
     std::string text;
     for (int i = 0; i < 1000 && !client.ended(); ++i) {
       daemon_->poll();

@@ -112,8 +112,9 @@ TEST_F(DaemonLoop, ServesItsCounters) {
   EXPECT_EQ(value(all, "groma_link_opened_total", link), 2.0);
   EXPECT_EQ(value(all, "groma_link_open", link), 1.0);
 
-  EXPECT_THAT(get("/"), StartsWith("HTTP/1.1 404 "));
-  EXPECT_THAT(get("/live"), StartsWith("HTTP/1.1 404 "));
+  EXPECT_THAT(get("/"), StartsWith("HTTP/1.1 200 "));  // the page, or that there is none
+  EXPECT_THAT(get("/other"), StartsWith("HTTP/1.1 404 "));
+  EXPECT_THAT(get("/live"), StartsWith("HTTP/1.1 426 "));
 }
 
 // A port that is free now.

@@ -18,9 +18,11 @@
 #include <nlohmann/json.hpp>
 
 #include "host/io/descriptor.hpp"
-#include "test/host/daemon/tcp_client.hpp"
+#include "test/support/tcp_client.hpp"
 
 namespace groma::daemon::test {
+
+using groma::test::TcpClient;
 
 constexpr auto kPatience = std::chrono::seconds(40);
 

@@ -26,8 +26,8 @@
 #include "proto/frame_codec.hpp"
 #include "test/host/daemon/gromad_fixture.hpp"
 #include "test/host/daemon/prometheus_parser.hpp"
-#include "test/host/daemon/tcp_client.hpp"
 #include "test/support/child_process.hpp"
+#include "test/support/tcp_client.hpp"
 
 namespace groma::daemon {
 namespace {
@@ -420,8 +420,8 @@ TEST_F(GromadTest, ServesItsCounters) {
   ASSERT_TRUE(run_until(site, gromad, [&] { return poses("TRACKING") >= 50; })) << gromad.log();
   const auto port = port_in_log(gromad, "web server");
   ASSERT_TRUE(port);
-  test::TcpClient client(*port);
-  ASSERT_TRUE(client.send("GET /metrics HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n"));
+  groma::test::TcpClient client(*port);
+  ASSERT_TRUE(client.send("GET /metrics HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n"));
   std::string answer;
   ASSERT_TRUE(run_until(site, gromad, [&] {
     answer += client.receive();

@@ -15,13 +15,13 @@
 #include <nlohmann/json.hpp>
 
 #include "host/daemon/pose_message.hpp"
-#include "test/host/daemon/tcp_client.hpp"
+#include "test/support/tcp_client.hpp"
 
 namespace groma::daemon {
 namespace {
 
+using groma::test::TcpClient;
 using nlohmann::json;
-using test::TcpClient;
 
 class PoseServerTest : public ::testing::Test {
  protected:

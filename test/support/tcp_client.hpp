@@ -15,7 +15,7 @@
 
 #include "host/io/descriptor.hpp"
 
-namespace groma::daemon::test {
+namespace groma::test {
 
 class TcpClient {
  public:
@@ -66,4 +66,4 @@ class TcpClient {
   bool ended_ = false;
 };
 
-}  // namespace groma::daemon::test
+}  // namespace groma::test
