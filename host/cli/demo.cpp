@@ -191,16 +191,20 @@ void add_demo(CLI::App& app, Action& action) {
                    "Site, nodes, robot and radio as YAML, with two drives. Default: the source paper's hall")
       ->type_name("FILE");
   add_emulation_options(*command, options->emulation);
+  CLI::Option* const report =
+      command
+          ->add_option("--report", options->report,
+                       "Folder for report.html, the calibration, the estimates and both drives as data sets")
+          ->type_name("DIR");
+  CLI::Option* const json = command->add_flag("--json", options->json, "Print one JSON object");
   command
-      ->add_option("--report", options->report,
-                   "Folder for report.html, the calibration, the estimates and both drives as data sets")
-      ->type_name("DIR");
-  command->add_flag("--live", options->live,
-                    "Run the site in real time instead, with a gromad that serves its live page");
+      ->add_flag("--live", options->live,
+                 "Run the site in real time instead, with a gromad that serves its live page")
+      ->excludes(report)
+      ->excludes(json);
   command->add_option("--port", options->port, "TCP port of the live page")
       ->capture_default_str()
       ->type_name("N");
-  command->add_flag("--json", options->json, "Print one JSON object");
   command->callback([options, &action] { action = [options] { return run(*options); }; });
 }
 

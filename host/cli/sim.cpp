@@ -71,11 +71,13 @@ void add_sim(CLI::App& app, Action& action) {
       ->capture_default_str()
       ->type_name("X");
   add_emulation_options(*command, options->emulation);
-  command->add_flag(
+  CLI::Option* const unconfigured = command->add_flag(
       "--unconfigured", options->server.site.unconfigured,
       "Unconfigured nodes, for 'groma configure'; then anchors have ports, too: anchor-10 and so on");
-  command->add_flag("--live", options->live,
-                    "Also run gromad on the site, and print the address of its live page");
+  command
+      ->add_flag("--live", options->live,
+                 "Also run gromad on the site, and print the address of its live page")
+      ->excludes(unconfigured);
   command->add_option("--port", options->port, "TCP port of the live page")
       ->capture_default_str()
       ->type_name("N");

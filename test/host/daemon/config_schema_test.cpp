@@ -36,7 +36,7 @@ imu: {sigma_omega_radps: 0.01}
 gnss: {lever_arm_m: [0, 0, 1]}
 model: inflated
 pose_stream: {address: "::1", port: 4000}
-web: {port: 4001}
+web: {port: 4001, hosts: [robot7], origins: ["https://viewer.example"], token_file: token, tls: {certificate: c, key: k}, walls: walls.csv, simulated: true}
 ros2: {domain_id: 5, namespace: robot1/groma, publish_tf: true, graph: iron, tf_topic: /tf, odom_frame: odom, base_frame: base_link, odometry_topic: /odom, imu_topic: /imu, fix_topic: /fix, pose_topic: /slam_pose, initialpose: /initialpose, datum: [50.8, 12.9, 300]}
 log: drive.glog
 ring: {folder: kept, size_mib: 64}
@@ -129,6 +129,7 @@ bool allows(const json& schema, const json& value) {
 class ConfigSchema : public testing::Test {
  protected:
   std::vector<ConfigProblem> problems_of(const std::string& text) {
+    folder_.write("walls.csv", "x0_m,y0_m,x1_m,y1_m\n");
     return parse_config(folder_.write("gromad.yaml", text)).problems;
   }
   bool schema_allows(const std::string& text) const { return allows(schema_, to_json(YAML::Load(text))); }
