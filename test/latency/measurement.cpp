@@ -261,7 +261,8 @@ double percentile(std::vector<double> values, double share) {
   return *at;
 }
 
-Measurement measure(double duration_s, const std::string& more_config) {
+Measurement measure(double duration_s, const std::string& more_config,
+                    const std::function<void(std::uint16_t port)>& on_web) {
   const groma::test::TemporaryFolder folder;
   LoadGenerator generator(folder.path(), duration_s);
   const SharedCounts counts(folder / "counts");
@@ -269,6 +270,7 @@ Measurement measure(double duration_s, const std::string& more_config) {
   PoseClient client(await_port(*gromad), static_cast<std::size_t>(duration_s * LoadGenerator::kOdometry_hz));
   if (!generator.await_reader(kPatience_s))
     throw std::runtime_error("gromad reads nothing: " + gromad->log());
+  if (const auto web = daemon::test::port_in_log(*gromad, "web server"); web && on_web) on_web(*web);
 
   Measurement out;
   out.duration_s = duration_s;

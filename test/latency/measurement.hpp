@@ -3,6 +3,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <functional>
 #include <optional>
 #include <string>
 #include <vector>
@@ -44,9 +45,11 @@ struct Measurement {
   std::string log;
 };
 
-// more_config: keys that are added to gromad's configuration. Throws std::runtime_error, with gromad's log,
-// if it does not run to the end.
-[[nodiscard]] Measurement measure(double duration_s, const std::string& more_config = "");
+// more_config: keys that are added to gromad's configuration. on_web: called with the port of gromad's web
+// server, if it has one, before the load begins. Throws std::runtime_error, with gromad's log, if it does not
+// run to the end.
+[[nodiscard]] Measurement measure(double duration_s, const std::string& more_config = "",
+                                  const std::function<void(std::uint16_t port)>& on_web = {});
 
 // One row of the table.
 struct Row {

@@ -95,6 +95,11 @@ class Arena {
 
   [[nodiscard]] bool is_real_time() const { return is_real_time_; }
   [[nodiscard]] std::uint16_t port() const { return port_; }
+  [[nodiscard]] std::uint16_t web_port() {
+    const auto port = port_in_log(*gromad_, "web server");
+    if (!port) throw std::runtime_error("gromad has no web server: " + gromad_->log());
+    return *port;
+  }
   [[nodiscard]] SimulatedSite& site() { return site_; }
   [[nodiscard]] Gromad& gromad() { return *gromad_; }
   [[nodiscard]] const groma::test::TemporaryFolder& folder() const { return folder_; }
@@ -199,6 +204,7 @@ range: {{sigma_m: 0.05, beta_m: [0, 0.05], gamma: [1.0, 0.002]}}
 surface: {{type: plane, z_m: 0, normal: [0, 0, 1]}}
 calibration: {{file: calibration.yaml}}
 pose_stream: {{port: 0}}
+web: {{port: 0}}
 log: drive.glog
 )",
                        SimulatedSite::kTagHeight_m);

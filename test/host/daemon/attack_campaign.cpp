@@ -102,6 +102,7 @@ class AttackCampaign : public ::testing::Test {
 
 TEST_F(AttackCampaign, NoAttackBreaksGromad) {
   run(test::attacks_on_the_pose_stream());
+  run(test::attacks_on_the_web_server());
   run(test::attacks_on_the_robots_side());
   run(test::attacks_on_the_tags_link(), /*keeps_frames=*/false);
   run(test::attacks_on_the_process(), /*keeps_frames=*/false);

@@ -102,6 +102,75 @@ void send_garbage_to_the_stream(Arena& arena, double seconds) {
   arena.note_resources();
 }
 
+std::string web_request(const std::string& path, const std::string& host, const std::string& more) {
+  return "GET " + path + " HTTP/1.1\r\nHost: " + host + "\r\n" + more + "\r\n";
+}
+
+std::string web_socket_request(const std::string& more = {}) {
+  return web_request("/live", "127.0.0.1",
+                     "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+                     "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n" +
+                         more);
+}
+
+// Asks as pages of others do: by another name (DNS rebinding), with another origin, for a WebSocket. It gets
+// an answer that is none.
+void ask_as_others(Arena& arena, double seconds) {
+  std::atomic<int> served = 0;
+  std::atomic<int> refused = 0;
+  {
+    const Attacker attacker([port = arena.web_port(), &served, &refused] {
+      for (const std::string& request : {web_request("/metrics", "evil.example", ""),
+                                         web_request("/", "127.0.0.1", "Origin: http://evil.example\r\n"),
+                                         web_socket_request("Origin: http://evil.example\r\n")}) {
+        try {
+          TcpClient client(port);
+          client.send(request);
+          const std::string answer = client.await(std::chrono::milliseconds(1000));
+          if (answer.starts_with("HTTP/1.1 403 ")) ++refused;
+          if (answer.starts_with("HTTP/1.1 200 ") || answer.starts_with("HTTP/1.1 101 ")) ++served;
+        } catch (const std::runtime_error&) {
+          std::this_thread::sleep_for(std::chrono::milliseconds(1));
+        }
+      }
+    });
+    arena.pump(seconds);
+    arena.note_resources();
+  }
+  if (served > 0 || refused == 0)
+    throw std::runtime_error(fmt::format("others: {} served, {} refused", served.load(), refused.load()));
+}
+
+// Clients of the web server that send this and then never read.
+void hold_web_clients(Arena& arena, double seconds, std::size_t count, const std::string& request) {
+  std::vector<std::unique_ptr<TcpClient>> clients;
+  for (std::size_t i = 0; i < count; ++i) {
+    clients.push_back(std::make_unique<TcpClient>(arena.web_port(), 4096));
+    clients.back()->send(request);
+    arena.pump(0.002);
+  }
+  arena.pump(seconds);
+  arena.note_resources();
+}
+
+// Opens a WebSocket, announces a frame of 1 GiB and sends its beginning, again and again.
+void announce_long_frames(Arena& arena, double seconds) {
+  const Attacker attacker([port = arena.web_port()] {
+    try {
+      TcpClient client(port);
+      client.send(web_socket_request());
+      static_cast<void>(client.await(std::chrono::milliseconds(100)));
+      const char header[] = "\x81\xff\x00\x00\x00\x00\x40\x00\x00\x00\x00\x00\x00\x00";
+      client.send(std::string(header, sizeof header - 1) + std::string(4000, 'x'));
+      static_cast<void>(client.await(std::chrono::milliseconds(100)));
+    } catch (const std::runtime_error&) {
+      std::this_thread::sleep_for(std::chrono::milliseconds(1));
+    }
+  });
+  arena.pump(seconds);
+  arena.note_resources();
+}
+
 // Adds text after each line of odometry.
 auto adding(std::function<std::string(double t_s)> text) {
   return [text = std::move(text)](Arena& arena, double seconds) {
@@ -311,6 +380,18 @@ std::vector<Attack> attacks_on_the_pose_stream() {
       {"connection flood, RST",
        [](Arena& arena, double seconds) { flood_with_connections(arena, seconds, true); }, true, true},
       {"random bytes to the pose stream at full rate", send_garbage_to_the_stream, true, true},
+  };
+}
+
+std::vector<Attack> attacks_on_the_web_server() {
+  return {
+      {"web: another name, another origin", ask_as_others, true, true, true},
+      {"web: 200 clients that say nothing",
+       [](Arena& arena, double seconds) { hold_web_clients(arena, seconds, 200, ""); }, true, true},
+      {"web: 200 WebSockets that never read",
+       [](Arena& arena, double seconds) { hold_web_clients(arena, seconds, 200, web_socket_request()); },
+       true, true, true},
+      {"web: frames of 1 GiB announced", announce_long_frames, true, true},
   };
 }
 

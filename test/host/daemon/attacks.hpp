@@ -22,6 +22,7 @@ struct Attack {
 };
 
 [[nodiscard]] std::vector<Attack> attacks_on_the_pose_stream();
+[[nodiscard]] std::vector<Attack> attacks_on_the_web_server();
 [[nodiscard]] std::vector<Attack> attacks_on_the_robots_side();
 [[nodiscard]] std::vector<Attack> attacks_on_the_tags_link();
 [[nodiscard]] std::vector<Attack> attacks_on_the_process();
