@@ -113,7 +113,9 @@ void EventLoop::call_timers() {
   for (std::size_t i = 0; i < timers_.size(); ++i) {
     Timer* const timer = timers_[i];
     if (timer == nullptr || now_s < timer->next_s_) continue;
-    timer->next_s_ = now_s + timer->period_s_;
+    // A call that comes late does not delay the next ones, unless it is late by a whole period.
+    const double late_s = now_s - timer->next_s_;
+    timer->next_s_ = (late_s < timer->period_s_ ? timer->next_s_ : now_s) + timer->period_s_;
     timer->action_();
   }
   std::erase(timers_, nullptr);
