@@ -51,7 +51,6 @@ class Readers {
 
 struct Counts {
   std::atomic<std::uint64_t> page_poses = 0;
-  std::atomic<std::uint64_t> page_messages = 0;
   std::atomic<std::uint64_t> foxglove_messages = 0;
 };
 
@@ -62,7 +61,7 @@ void read_the_page(std::uint16_t port, Readers& readers, Counts& counts) {
     throw std::runtime_error("no WebSocket at /live");
   readers.add([client, &counts] {
     while (const auto frame = client->next(0)) {
-      ++counts.page_messages;
+      if (frame->opcode == WebSocketClient::kPing) client->send(WebSocketClient::kPong, frame->payload);
       if (frame->payload.starts_with(R"({"class":"POSE")")) ++counts.page_poses;
     }
     client->poll();
@@ -81,7 +80,10 @@ void read_as_foxglove(std::uint16_t port, Readers& readers, Counts& counts) {
     subscriptions += fmt::format("{}{{\"id\":{},\"channelId\":{}}}", id > 1 ? "," : "", id, id);
   client->send(WebSocketClient::kText, R"({"op":"subscribe","subscriptions":[)" + subscriptions + "]}");
   readers.add([client, &counts] {
-    while (client->next(0)) ++counts.foxglove_messages;
+    while (const auto frame = client->next(0)) {
+      if (frame->opcode == WebSocketClient::kPing) client->send(WebSocketClient::kPong, frame->payload);
+      ++counts.foxglove_messages;
+    }
     client->poll();
   });
 }
