@@ -1,7 +1,7 @@
 #include "host/cli/live_site.hpp"
 
 #include <fmt/format.h>
-#include <spawn.h>
+#include <sys/prctl.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -20,8 +20,6 @@
 #include "host/io/exit_code.hpp"
 #include "host/io/output_file.hpp"
 #include "host/simulation/drive_dataset.hpp"
-
-extern char** environ;  // NOLINT(readability-redundant-declaration): not every header declares it
 
 namespace groma::cli {
 namespace {
@@ -42,15 +40,18 @@ class Gromad {
  public:
   explicit Gromad(const std::filesystem::path& configuration) {
     const std::string program = gromad().string();
-    std::string file = configuration.string();
-    std::string name = "gromad";
-    std::string option = "--config";
-    char* arguments[] = {name.data(), option.data(), file.data(), nullptr};
-    if (::posix_spawn(&pid_, program.c_str(), nullptr, nullptr, arguments, environ) != 0)
-      throw io::DeviceError({program}, "cannot be started", "check its permissions");
+    const std::string file = configuration.string();
+    pid_ = ::fork();
+    if (pid_ == 0) {
+      ::prctl(PR_SET_PDEATHSIG, SIGTERM);  // also if this program is killed
+      ::execl(program.c_str(), "gromad", "--config", file.c_str(), nullptr);
+      ::_exit(io::kUnavailable);
+    }
+    if (pid_ < 0) throw io::DeviceError({program}, "cannot be started", "end other programs");
     watch_ = std::thread([this] {
       siginfo_t info{};
       ::waitid(P_PID, static_cast<id_t>(pid_), &info, WEXITED | WNOWAIT);
+      has_failed_ = info.si_code != CLD_EXITED || info.si_status != io::kGood;
       has_ended_ = true;
       if (!is_stopping_) ::kill(::getpid(), SIGTERM);
     });
@@ -64,10 +65,12 @@ class Gromad {
   Gromad(const Gromad&) = delete;
   Gromad& operator=(const Gromad&) = delete;
 
-  [[nodiscard]] bool has_ended() const noexcept { return has_ended_; }
+  // It has ended, and not because it was asked to: Ctrl-C asks both programs.
+  [[nodiscard]] bool has_failed() const noexcept { return has_failed_; }
 
  private:
   pid_t pid_ = 0;
+  std::atomic<bool> has_failed_ = false;
   std::atomic<bool> has_ended_ = false;
   std::atomic<bool> is_stopping_ = false;
   std::thread watch_;
@@ -138,7 +141,7 @@ int run_live(const sim::Scenario& scenario, simulation::SiteServer::Options opti
   flush_output();
   stop_heartbeat();
   server.run(stop);
-  if (daemon.has_ended())
+  if (daemon.has_failed())
     throw io::DeviceError({folder / "gromad.yaml"}, "gromad has ended", "see above for what it logged");
   return io::kGood;
 }
