@@ -25,8 +25,10 @@
 #include "host/link/byte_link.hpp"
 #include "host/link/report_decoder.hpp"
 #include "test/host/daemon/gromad_process.hpp"
+#include "test/host/web/listener.hpp"
 #include "test/support/child_process.hpp"
 #include "test/support/scratch_folder.hpp"
+#include "test/support/tcp_client.hpp"
 
 namespace groma::simulation {
 namespace {
@@ -326,6 +328,59 @@ TEST(SimCommand, AMissingScenarioOrOptionEndsItAtOnce) {
                              "-1", "--ports", ports})
                 .exit_code,
             2);
+}
+
+// What gromad's web server answers there; empty: nobody listens.
+std::string page_at(std::uint16_t port) {
+  try {
+    groma::test::TcpClient client(port);
+    client.send("GET / HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n");
+    std::string answer;
+    while (!client.ended()) answer += client.await(std::chrono::milliseconds(1000));
+    return answer;
+  } catch (const std::runtime_error&) {
+    return {};
+  }
+}
+
+class LiveSite : public ::testing::Test {
+ protected:
+  std::vector<std::string> arguments() const {
+    return {"sim",
+            "--scenario",
+            scenario("open_field.yaml"),
+            "--live",
+            "--port",
+            std::to_string(port_),
+            "--ports",
+            (scratch_ / "ports").string()};
+  }
+  bool is_served() const { return page_at(port_).starts_with("HTTP/1.1 200 "); }
+  std::string errors() const { return test::read_text(scratch_ / "errors"); }
+
+  const test::ScratchFolder scratch_;
+  const std::uint16_t port_ = web::test::Listener().port();  // free again
+};
+
+TEST_F(LiveSite, EndsGromadWithIt) {
+  for (const int signal_number : {SIGTERM, SIGINT, SIGKILL}) {
+    Child child(arguments(), scratch_ / "errors");
+    ASSERT_TRUE(wait_for([&] { return is_served(); }, 30.0)) << errors();
+    EXPECT_THAT(errors(), HasSubstr("live page"));
+    child.signal(signal_number);
+    EXPECT_EQ(child.exit_code(), signal_number == SIGKILL ? -1 : 0) << errors();
+    EXPECT_TRUE(wait_for([&] { return page_at(port_).empty(); }, 10.0)) << signal_number;
+  }
+}
+
+TEST_F(LiveSite, EndsWhenGromadDoes) {
+  const web::test::Listener other;
+  std::vector<std::string> words = arguments();
+  words[5] = std::to_string(other.port());  // not free
+  Child child(words, scratch_ / "errors");
+  EXPECT_EQ(child.exit_code(), 69);
+  EXPECT_THAT(errors(), HasSubstr("gromad has ended"));
+  EXPECT_FALSE(std::filesystem::exists(scratch_ / "ports" / "tag-1"));
 }
 
 }  // namespace
