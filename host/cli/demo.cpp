@@ -203,6 +203,7 @@ void add_demo(CLI::App& app, Action& action) {
       ->excludes(report)
       ->excludes(json);
   command->add_option("--port", options->port, "TCP port of the live page")
+      ->check(CLI::Range(1, 65535))
       ->capture_default_str()
       ->type_name("N");
   command->callback([options, &action] { action = [options] { return run(*options); }; });

@@ -5,6 +5,7 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <atomic>
 #include <csignal>
 #include <filesystem>
@@ -99,7 +100,7 @@ std::string configuration(const sim::Scenario& scenario, const simulation::SiteS
   }
   std::string out;
   for (std::size_t begin = 0; begin < text.size();) {
-    const std::size_t end = text.find('\n', begin) + 1;
+    const std::size_t end = std::min(text.find('\n', begin), text.size() - 1) + 1;
     const std::string line = text.substr(begin, end - begin);
     if (!line.starts_with("name:") && !line.starts_with("origin:")) out += line;
     begin = end;
@@ -129,6 +130,14 @@ sim::Scenario endless(sim::Scenario scenario) {
   return scenario;
 }
 
+int report_behind(const simulation::SiteServer& server) {
+  if (!(server.behind_s() > 0.0)) return io::kGood;
+  complain(fmt::format(
+      "this machine was too slow: {:.1f} s behind after {:.1f} simulated seconds; give a lower --speed",
+      server.behind_s(), server.now_s()));
+  return io::kDoneWithWarnings;
+}
+
 int run_live(const sim::Scenario& scenario, simulation::SiteServer::Options options, std::uint16_t port) {
   const volatile std::sig_atomic_t& stop = stop_on_signals();
   simulation::SiteServer server(scenario, options);
@@ -143,7 +152,7 @@ int run_live(const sim::Scenario& scenario, simulation::SiteServer::Options opti
   server.run(stop);
   if (daemon.has_failed())
     throw io::DeviceError({folder / "gromad.yaml"}, "gromad has ended", "see above for what it logged");
-  return io::kGood;
+  return report_behind(server);
 }
 
 }  // namespace groma::cli

@@ -13,9 +13,13 @@ inline constexpr std::uint16_t kLivePort = 4722;  // of the page; gromad's defau
 // The same site, whose last drive is repeated for hours.
 [[nodiscard]] sim::Scenario endless(sim::Scenario scenario);
 
-// Runs until a stop signal, and prints the page's address. The folder gets gromad's configuration and what it
-// names. Throws as SiteServer, and io::DeviceError if gromad is not beside
-// this program or ends.
+// The exit code of a site that has run: kDoneWithWarnings, with a warning, if this machine was too slow for
+// it.
+[[nodiscard]] int report_behind(const simulation::SiteServer& server);
+
+// Runs until a stop signal, and prints the page's address. The folder gets gromad's configuration and the
+// files that it names. Throws as SiteServer, and io::DeviceError if gromad is not beside this program or
+// fails.
 [[nodiscard]] int run_live(const sim::Scenario& scenario, simulation::SiteServer::Options options,
                            std::uint16_t port);
 

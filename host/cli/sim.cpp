@@ -42,13 +42,7 @@ int run(SimOptions options) {
   flush_output();
   stop_heartbeat();
   server.run(stop);
-  if (server.behind_s() > 0.0) {
-    complain(fmt::format(
-        "this machine was too slow: {:.1f} s behind after {:.1f} simulated seconds; give a lower --speed",
-        server.behind_s(), server.now_s()));
-    return io::kDoneWithWarnings;
-  }
-  return io::kGood;
+  return report_behind(server);
 }
 
 }  // namespace
@@ -79,6 +73,7 @@ void add_sim(CLI::App& app, Action& action) {
                  "Also run gromad on the site, and print the address of its live page")
       ->excludes(unconfigured);
   command->add_option("--port", options->port, "TCP port of the live page")
+      ->check(CLI::Range(1, 65535))
       ->capture_default_str()
       ->type_name("N");
   command->add_option("--ports", options->server.folder, "Folder for tag-1 and so on, and robot.sock")

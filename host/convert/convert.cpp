@@ -184,7 +184,7 @@ Converted to_mcap(const Recording& recording, Format format) {
   constexpr std::string_view kMapFrame = "map";
   const model::Calibration* const calibration =
       recording.used.empty() ? recording.calibration : &recording.used.front();
-  const Site site{.frame = calibration != nullptr ? calibration->frame : kMapFrame,
+  const Site site{.frame = calibration != nullptr ? calibration->frame : std::string(kMapFrame),
                   .tags = dataset.tags,
                   .odometry_noise = dataset.odometry_noise,
                   .gyro_sigma_radps = filter::SensorConfig(dataset.sensors).gyro_sigma_radps};

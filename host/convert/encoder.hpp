@@ -9,6 +9,7 @@
 #include <string>
 #include <string_view>
 #include <utility>
+#include <vector>
 
 #include <Eigen/Core>
 
@@ -24,8 +25,8 @@ inline constexpr std::string_view kBaseFrame = "base_link";
 
 // What does not change during the recording.
 struct Site {
-  std::string_view frame;               // of the map
-  std::span<const model::Tag> tags;     // in base_link
+  std::string frame;                    // of the map
+  std::vector<model::Tag> tags;         // in base_link
   model::OdometryNoise odometry_noise;  // of each sample
   double gyro_sigma_radps = 0.0;
 };

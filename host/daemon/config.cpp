@@ -21,6 +21,7 @@
 #include "host/link/can_path.hpp"
 #include "host/link/network_link.hpp"
 #include "host/link/usb_port.hpp"
+#include "host/web/access.hpp"
 
 namespace groma::daemon {
 namespace {
@@ -151,7 +152,7 @@ CalibrationSource parse_calibration_source(const YamlValue& yaml, const std::fil
 std::filesystem::path parse_listen(const YamlValue& yaml, const std::filesystem::path& folder) {
   std::filesystem::path path = parse_address(yaml, folder);
   const auto network = link::parse_network_path(path.string());
-  if (network && (!is_numeric_address(network->host) || network->local_port)) {
+  if (network && (!web::is_numeric_address(network->host) || network->local_port)) {
     yaml.fail("is not a numeric address and a port",
               "write tcp://127.0.0.1:4723 for this computer only, tcp://0.0.0.0:4723 for the network");
   }

@@ -1,9 +1,9 @@
 #include "host/daemon/config_values.hpp"
 
-#include <arpa/inet.h>
-
 #include <cstdint>
 #include <limits>
+
+#include "host/web/access.hpp"
 
 namespace groma::daemon {
 namespace {
@@ -18,12 +18,6 @@ std::filesystem::path parse_path(const io::YamlValue& yaml, const std::filesyste
   return folder / text;
 }
 
-bool is_numeric_address(const std::string& text) {
-  in_addr v4{};
-  in6_addr v6{};
-  return ::inet_pton(AF_INET, text.c_str(), &v4) == 1 || ::inet_pton(AF_INET6, text.c_str(), &v6) == 1;
-}
-
 std::vector<io::YamlKey> endpoint_keys() {
   return {{"address", io::YamlType::text(), "Numeric address of an interface; 0.0.0.0: all.", false},
           {"port", io::YamlType::integer(0, kMaxPort), "TCP port; 0: any free one.", false}};
@@ -32,7 +26,7 @@ std::vector<io::YamlKey> endpoint_keys() {
 void parse_endpoint(const io::YamlValue& yaml, Endpoint& endpoint) {
   if (const auto address = yaml.find("address")) {
     endpoint.address = address->text();
-    if (!is_numeric_address(endpoint.address)) {
+    if (!web::is_numeric_address(endpoint.address)) {
       address->fail("is not a numeric address",
                     "write 127.0.0.1 for this computer only, 0.0.0.0 for the network");
     }

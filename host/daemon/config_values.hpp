@@ -15,9 +15,6 @@ namespace groma::daemon {
 [[nodiscard]] std::filesystem::path parse_path(const io::YamlValue& yaml,
                                                const std::filesystem::path& folder);
 
-// Whether the text is an IPv4 or IPv6 address.
-[[nodiscard]] bool is_numeric_address(const std::string& text);
-
 // The keys `address` and `port`.
 [[nodiscard]] std::vector<io::YamlKey> endpoint_keys();
 // Keys that are absent keep their values. Throws io::ConfigError if the address is not numeric.

@@ -8,7 +8,6 @@
 #include <chrono>
 #include <csignal>
 #include <filesystem>
-#include <stdexcept>
 #include <system_error>
 #include <utility>
 
@@ -173,13 +172,7 @@ link::LinkError Daemon::open_servers() {
 
 link::LinkError Daemon::open_web(const WebSettings& settings) {
   WebSecrets secrets = read_secrets(settings);
-  try {
-    web_server_ = std::make_unique<web::Server>(loop_.context(), std::move(secrets.access), secrets.tls);
-  } catch (const std::runtime_error& error) {
-    throw io::DataError({settings.tls->certificate},
-                        fmt::format("cannot serve TLS with its key: {}", error.what()),
-                        "give the certificate and its own key as PEM files");
-  }
+  web_server_ = std::make_unique<web::Server>(loop_.context(), std::move(secrets.access), secrets.tls);
   TcpListener::Opened opened =
       TcpListener::open(loop_, settings.endpoint, "web",
                         [this](io::Descriptor client) { web_server_->add(std::move(client)); });

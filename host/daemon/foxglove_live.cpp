@@ -1,7 +1,5 @@
 #include "host/daemon/foxglove_live.hpp"
 
-#include <openssl/evp.h>
-
 #include <algorithm>
 #include <array>
 #include <span>
@@ -12,6 +10,7 @@
 #include "host/convert/schemas.hpp"
 #include "host/daemon/ros2_status.hpp"
 #include "host/filter/sensors.hpp"
+#include "host/io/base64.hpp"
 #include "host/io/version.hpp"
 #include "host/ros2/time.hpp"
 
@@ -39,15 +38,6 @@ constexpr std::size_t kRangesChannel = 5;
 constexpr char kMessageData = 1;
 constexpr char kTime = 2;
 
-std::string base64(std::string_view bytes) {
-  std::string out(4 * ((bytes.size() + 2) / 3) + 1, '\0');  // the function ends it with a zero
-  const int size =
-      ::EVP_EncodeBlock(reinterpret_cast<unsigned char*>(out.data()),
-                        reinterpret_cast<const unsigned char*>(bytes.data()), static_cast<int>(bytes.size()));
-  out.resize(static_cast<std::size_t>(size));
-  return out;
-}
-
 template <typename Number>
 void append(std::string& out, Number number) {
   for (std::size_t i = 0; i < sizeof(number); ++i) out += static_cast<char>((number >> (8 * i)) & 0xFFU);
@@ -58,7 +48,9 @@ web::Socket::Message shared(std::string text) {
 }
 
 web::Socket::Message advertisement() {
-  const std::string schemas = base64(convert::protobuf_schemas());
+  const std::string_view descriptors = convert::protobuf_schemas();
+  const std::string schemas =
+      io::base64({reinterpret_cast<const std::uint8_t*>(descriptors.data()), descriptors.size()});
   Json channels = Json::array();
   for (std::size_t i = 0; i < kChannels.size(); ++i) {
     channels.push_back({{"id", i + 1},
@@ -97,12 +89,14 @@ FoxgloveLive::FoxgloveLive(EventLoop& loop, const Config& config)
 FoxgloveLive::~FoxgloveLive() = default;
 
 void FoxgloveLive::make_encoder() {
+  frame_ = calibration_ ? calibration_->frame : "map";
+  tags_ = config_.tags;
   encoder_ = convert::make_foxglove_encoder(
       [this](std::string_view topic, std::string_view /*schema*/, double t_s, std::string_view message) {
         send(topic, t_s, message);
       },
       {.frame = frame_,
-       .tags = config_.tags,
+       .tags = tags_,
        .odometry_noise = config_.odometry,
        .gyro_sigma_radps = filter::SensorConfig(config_.sensors).gyro_sigma_radps});
 }
@@ -114,8 +108,19 @@ void FoxgloveLive::on_pose(const PoseEstimate& pose, std::string_view /*line*/) 
 
 void FoxgloveLive::on_calibration(const model::Calibration& calibration) {
   calibration_ = calibration;
-  if (std::exchange(frame_, calibration.frame) != frame_) make_encoder();
+  const bool has_same_tags = std::equal(tags_.begin(), tags_.end(), config_.tags.begin(), config_.tags.end(),
+                                        [](const model::Tag& a, const model::Tag& b) {
+                                          return a.id == b.id && a.lever_arm_m == b.lever_arm_m;
+                                        });
+  if (frame_ != calibration.frame || !has_same_tags) make_encoder();
   send_site();
+}
+
+void FoxgloveLive::on_clock_set() {
+  ranges_.clear();
+  last_.reset();
+  has_new_pose_ = false;
+  make_encoder();  // the old one waits for times of the old clock
 }
 
 void FoxgloveLive::on_range(const model::RangeSample& range) {

@@ -38,7 +38,7 @@ class FoxgloveLive : public Output, public MeasurementSink, public web::SocketSe
   void on_odometry(const model::OdometrySample& /*sample*/) override {}
   void on_range(const model::RangeSample& range) override;
   void on_pose_prior(const model::PoseSample& /*pose*/) override {}
-  void on_clock_set() override { ranges_.clear(); }
+  void on_clock_set() override;
 
   void on_open(web::Socket& socket) override;
   void on_close(web::Socket& socket) override;
@@ -54,7 +54,8 @@ class FoxgloveLive : public Output, public MeasurementSink, public web::SocketSe
   void send(std::string_view topic, double t_s, std::string_view message);
 
   const Config& config_;
-  std::string frame_ = "map";
+  std::string frame_;  // of the encoder, as are the tags
+  std::vector<model::Tag> tags_;
   std::optional<model::Calibration> calibration_;
   std::unique_ptr<convert::Encoder> encoder_;
   std::optional<convert::Estimate> last_;

@@ -18,9 +18,10 @@ namespace {
 
 using Json = nlohmann::ordered_json;
 
-constexpr double kPosesBetween_s = 0.25;        // in the history; likewise
-constexpr double kStatusesBetween_s = 1.9;      // every second one
-constexpr std::size_t kHistoryAtOnce = 65'536;  // bytes for one client
+// In the history.
+constexpr double kPosesBetween_s = 0.25;
+constexpr double kStatusesBetween_s = 1.9;      // every second STATUS and CALIBRATION
+constexpr std::size_t kHistoryAtOnce = 65'536;  // bytes of it that wait for one client
 constexpr std::size_t kPoseReserve = 4096;      // as PoseWriter
 
 web::Socket::Message message_of(std::string_view line) {
@@ -90,21 +91,23 @@ void LivePage::on_pose(const PoseEstimate& pose, std::string_view line) {
 void LivePage::on_tick() {
   if (!std::exchange(has_new_pose_, false)) return;
   const std::pair now(state_, reason_);
-  if (loop_.now_s() >= next_pose_s_ || now != kept_) {
+  const bool is_kept = loop_.now_s() >= next_pose_s_ || now != kept_;
+  if (is_kept) {
     next_pose_s_ = loop_.now_s() + kPosesBetween_s;
     kept_ = now;
     keep(pose_);
   }
-  send(pose_);
+  send(pose_, is_kept ? Kept::kYes : Kept::kNo);
 }
 
 void LivePage::on_line(std::string_view line) {
-  const bool is_status = line.starts_with(R"({"class":"STATUS")");
-  if (!is_status || loop_.now_s() >= next_status_s_) {
-    if (is_status) next_status_s_ = loop_.now_s() + kStatusesBetween_s;
+  double& next_s = line.starts_with(R"({"class":"STATUS")") ? next_status_s_ : next_calibration_s_;
+  const bool is_kept = loop_.now_s() >= next_s;
+  if (is_kept) {
+    next_s = loop_.now_s() + kStatusesBetween_s;
     keep(line);
   }
-  send(line);
+  send(line, is_kept ? Kept::kYes : Kept::kNo);
 }
 
 void LivePage::on_calibration(const model::Calibration& calibration) {
@@ -117,13 +120,13 @@ void LivePage::on_calibration(const model::Calibration& calibration) {
     json["anchors"].push_back(anchor_of(anchor));
   anchors_ = text_of(json);
   keep(anchors_);
-  send(anchors_);
+  send(anchors_, Kept::kYes);
 }
 
 void LivePage::on_log(std::string_view text) {
   const std::string line = text_of({{"class", "LOG"}, {"t_s", json_of_time(robot_time_())}, {"text", text}});
   keep(line);
-  send(line);
+  send(line, Kept::kYes);
 }
 
 std::string LivePage::site_line() const {
@@ -177,12 +180,13 @@ void LivePage::send_history(web::Socket& socket, std::optional<std::uint64_t>& n
   socket.send(message_of(R"({"class":"HISTORY","state":"end"})"), web::Socket::Kind::kText);
 }
 
-void LivePage::send(std::string_view line) {
+void LivePage::send(std::string_view line, Kept kept) {
   web::Socket::Message message;
-  for (const auto& [socket, next] : clients_) {
+  for (auto& [socket, next] : clients_) {
     if (next) continue;
     if (!message) message = message_of(line);
-    socket->send(message, web::Socket::Kind::kText);
+    if (!socket->send(message, web::Socket::Kind::kText))
+      next = history_.end() - (kept == Kept::kYes ? 1 : 0);
   }
 }
 

@@ -20,7 +20,7 @@ class LivePage : public Output, public web::SocketService {
  public:
   static constexpr double kPeriod_s = 0.05;    // of POSE
   static constexpr double kHistory_s = 600.0;  // what a new client gets
-  static constexpr std::size_t kHistoryBytes = 8U << 20U;
+  static constexpr std::size_t kHistoryBytes = 12U << 20U;
   static constexpr std::size_t kHistoryLines = 16'384;
 
   // The robot's time now; none: not known.
@@ -42,11 +42,12 @@ class LivePage : public Output, public web::SocketService {
  private:
   // The next line of the history for a client; none: it has had all of it.
   using Clients = std::map<web::Socket*, std::optional<std::uint64_t>>;
+  enum class Kept { kYes, kNo };  // whether a line is in the history
 
   void on_tick();
   void send_history(web::Socket& socket, std::optional<std::uint64_t>& next);
-  // To the clients that have had the history.
-  void send(std::string_view line);
+  // To the clients that have had the history. One that is too slow for it continues from the history.
+  void send(std::string_view line, Kept kept);
   void keep(std::string_view line) { history_.push(line, loop_.now_s()); }
   [[nodiscard]] std::string site_line() const;
 
@@ -64,6 +65,7 @@ class LivePage : public Output, public web::SocketService {
   std::optional<std::pair<filter::State, filter::Reason>> kept_;
   double next_pose_s_ = 0.0;
   double next_status_s_ = 0.0;
+  double next_calibration_s_ = 0.0;
   web::LineHistory history_{kHistoryBytes, kHistoryLines, kHistory_s};
   Clients clients_;
   EventLoop::Timer timer_;

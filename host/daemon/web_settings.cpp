@@ -1,6 +1,5 @@
 #include "host/daemon/web_settings.hpp"
 
-#include <arpa/inet.h>
 #include <sys/stat.h>
 
 #include <algorithm>
@@ -18,7 +17,7 @@ using io::YamlType;
 using io::YamlValue;
 
 constexpr std::size_t kMinToken = 16;  // characters: 64 bits as hexadecimal digits
-constexpr std::size_t kMaxWalls = 10'000;
+constexpr std::size_t kMaxWalls = 2000;
 
 bool is_loopback(const std::string& address) {
   return address.starts_with("127.") || address == "::1";
@@ -26,12 +25,7 @@ bool is_loopback(const std::string& address) {
 
 std::vector<std::string> parse_names(const YamlValue& yaml) {
   std::vector<std::string> out;
-  for (const YamlValue& each : yaml.list()) {
-    std::string name = each.text();
-    std::transform(name.begin(), name.end(), name.begin(),
-                   [](char c) { return c >= 'A' && c <= 'Z' ? static_cast<char>(c - 'A' + 'a') : c; });
-    out.push_back(std::move(name));
-  }
+  for (const YamlValue& each : yaml.list()) out.push_back(web::lower_case(each.text()));
   return out;
 }
 
@@ -60,7 +54,7 @@ std::vector<WebSettings::Wall> read_walls(const std::filesystem::path& path, io:
   std::vector<WebSettings::Wall> walls;
   while (csv.next()) {
     if (walls.size() == kMaxWalls)
-      throw io::DataError(csv.row_place(), "has more walls than a browser can draw", "give at most 10,000");
+      throw io::DataError(csv.row_place(), "has more walls than a browser can draw", "give at most 2,000");
     walls.push_back({{csv.number(0), csv.number(1)}, {csv.number(2), csv.number(3)}});
   }
   return walls;
@@ -83,8 +77,8 @@ std::string read_token(const std::filesystem::path& path) {
     return (c >= '0' && c <= '9') || (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || c == '-' || c == '_';
   });
   if (token.size() < kMinToken || !is_plain) {
-    throw io::DataError({path}, "holds no token of at least 16 letters, digits, '-' and '_'",
-                        "make one: openssl rand -hex 16 > FILE");
+    throw io::ConfigError({path}, "holds no token of at least 16 letters, digits, '-' and '_'",
+                          "make one: openssl rand -hex 16 > FILE");
   }
   return token;
 }
@@ -131,8 +125,13 @@ WebSettings parse_web(const YamlValue& yaml, const std::filesystem::path& folder
 WebSecrets read_secrets(const WebSettings& settings) {
   WebSecrets out{.access = {.hosts = settings.hosts, .origins = settings.origins, .token = {}}, .tls = {}};
   if (settings.token_file) out.access.token = read_token(*settings.token_file);
-  if (settings.tls)
+  if (settings.tls) {
     out.tls = web::TlsTexts{io::read_file(settings.tls->certificate), read_secret(settings.tls->key)};
+    if (const std::string fault = web::fault_of(*out.tls); !fault.empty()) {
+      throw io::ConfigError({settings.tls->certificate}, "cannot serve TLS with its key: " + fault,
+                            "give the certificate and its own key as PEM files, the key without a password");
+    }
+  }
   return out;
 }
 

@@ -48,8 +48,8 @@ struct WebSecrets {
   std::optional<web::TlsTexts> tls;
 };
 
-// Throws io::DataError or io::PermissionError, with the file, the cause and the remedy, if a file cannot be
-// read, others may read it, or it is too short for a token.
+// Throws io::DataError, io::PermissionError or io::ConfigError, with the file, the cause and the remedy, if a
+// file cannot be read, others may read it, or it is no token, certificate or key.
 [[nodiscard]] WebSecrets read_secrets(const WebSettings& settings);
 
 }  // namespace groma::daemon

@@ -117,7 +117,12 @@ std::vector<ReportFile> collect_report(const ReportSource& source) {
   if (examination.observation.pose.is_object()) stream += examination.observation.pose.dump() + "\n";
   files.push_back({"status.jsonl", stream});
   if (reading.config.web && !reading.config.web->tls) {
-    const std::string metrics = read_metrics(*reading.config.web);
+    std::string metrics;
+    try {
+      metrics = read_metrics(*reading.config.web);
+    } catch (const io::Error& error) {
+      metrics = std::string(error.what()) + "\n";
+    }
     files.push_back({"metrics.txt", metrics.empty() ? "/metrics does not answer\n" : metrics});
   }
   files.push_back({"log.txt", read_log(source.log)});

@@ -230,11 +230,19 @@ std::vector<Check> check_servers(const daemon::Config& config, const Observation
   Check web{.kind = "output", .name = fmt::format("web {}", address_of(config.web->endpoint))};
   if (config.web->tls) {
     web.facts.emplace_back("over TLS, which doctor does not check: open it in a browser");
-  } else if (read_metrics(*config.web).empty()) {
-    web.facts.emplace_back("/metrics does not answer");
-    web.fail(Verdict::kBad, "no-answer", "restart gromad; 'ss -lptn' shows which program listens there");
-  } else {
-    web.facts.emplace_back("/metrics answers");
+    return {stream, web};
+  }
+  try {
+    if (read_metrics(*config.web).empty()) {
+      web.facts.emplace_back("/metrics does not answer");
+      web.fail(Verdict::kBad, "no-answer", "restart gromad; 'ss -lptn' shows which program listens there");
+    } else {
+      web.facts.emplace_back("/metrics answers");
+    }
+  } catch (const io::Error& error) {
+    web.facts.emplace_back(error.what());
+    web.fail(Verdict::kWarning, "token",
+             "run doctor as the user that gromad runs as: sudo -u groma groma doctor");
   }
   return {stream, web};
 }

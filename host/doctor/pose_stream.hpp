@@ -64,7 +64,7 @@ struct Observation {       // NOLINT(bugprone-exception-escape): moving JSON doe
 // Listens for for_s, and up to 3 s more until there are two statuses.
 [[nodiscard]] Observation observe(const std::string& address, double for_s);
 
-// The body of gromad's /metrics; empty if there is none. Not over TLS.
+// The body of gromad's /metrics; empty if there is none. Not over TLS. Throws as read_secrets().
 [[nodiscard]] std::string read_metrics(const daemon::WebSettings& web);
 
 }  // namespace groma::doctor

@@ -7,6 +7,8 @@
 #include <cstdint>
 #include <string_view>
 
+#include "host/io/base64.hpp"
+
 namespace groma::report {
 
 namespace {
@@ -19,20 +21,6 @@ std::uint16_t share_of(double value, const Bounds& bounds) {
   const double span = bounds.high - bounds.low;
   const double share = span > 0.0 ? (value - bounds.low) / span : 0.0;
   return static_cast<std::uint16_t>(std::lround(kMost * std::clamp(share, 0.0, 1.0)));
-}
-
-std::string base64(const std::vector<std::uint8_t>& bytes) {
-  constexpr std::string_view kDigits = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
-  std::string text;
-  text.reserve((bytes.size() + 2) / 3 * 4);
-  for (std::size_t i = 0; i < bytes.size(); i += 3) {
-    const std::size_t left = std::min<std::size_t>(3, bytes.size() - i);
-    std::uint32_t group = 0;
-    for (std::size_t k = 0; k < 3; ++k) group = (group << 8U) | (k < left ? bytes[i + k] : 0U);
-    for (std::size_t k = 0; k < 4; ++k)
-      text += k <= left ? kDigits[(group >> (18U - 6U * static_cast<unsigned>(k))) & 63U] : '=';
-  }
-  return text;
 }
 
 }  // namespace
@@ -48,7 +36,7 @@ std::string encode_samples(std::span<const std::vector<double>> columns, std::sp
       bytes.push_back(static_cast<std::uint8_t>(share >> 8U));
     }
   }
-  return base64(bytes);
+  return io::base64(bytes);
 }
 
 }  // namespace groma::report

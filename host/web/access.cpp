@@ -10,19 +10,6 @@ namespace {
 
 constexpr std::string_view kBearer = "Bearer ";
 
-bool is_numeric(const std::string& host) {
-  in6_addr ignored{};
-  return ::inet_pton(AF_INET, host.c_str(), &ignored) == 1 ||
-         ::inet_pton(AF_INET6, host.c_str(), &ignored) == 1;
-}
-
-std::string lower_case(std::string_view text) {
-  std::string out(text);
-  std::transform(out.begin(), out.end(), out.begin(),
-                 [](char c) { return c >= 'A' && c <= 'Z' ? static_cast<char>(c - 'A' + 'a') : c; });
-  return out;
-}
-
 // The host of HOST[:PORT], without the brackets of an IPv6 address.
 std::string host_of(std::string_view authority) {
   if (!authority.empty() && authority.front() == '[') {
@@ -34,7 +21,7 @@ std::string host_of(std::string_view authority) {
 
 bool is_own_host(const AccessRules& rules, std::string_view authority) {
   const std::string host = host_of(authority);
-  return host == "localhost" || is_numeric(host) ||
+  return host == "localhost" || is_numeric_address(host) ||
          std::find(rules.hosts.begin(), rules.hosts.end(), host) != rules.hosts.end();
 }
 
@@ -68,6 +55,19 @@ bool has_token(const AccessRules& rules, std::string_view pairs, char separator,
 }
 
 }  // namespace
+
+bool is_numeric_address(const std::string& text) {
+  in6_addr ignored{};
+  return ::inet_pton(AF_INET, text.c_str(), &ignored) == 1 ||
+         ::inet_pton(AF_INET6, text.c_str(), &ignored) == 1;
+}
+
+std::string lower_case(std::string_view text) {
+  std::string out(text);
+  std::transform(out.begin(), out.end(), out.begin(),
+                 [](char c) { return c >= 'A' && c <= 'Z' ? static_cast<char>(c - 'A' + 'a') : c; });
+  return out;
+}
 
 bool has_token_in_query(const AccessRules& rules, std::string_view query) {
   return !rules.token.empty() && has_token(rules, query, '&', "token");

@@ -39,6 +39,11 @@ enum class Access { kGranted, kWrongHost, kWrongOrigin, kNoToken };
 // Whether the query has the token, so that the browser is given a cookie instead.
 [[nodiscard]] bool has_token_in_query(const AccessRules& rules, std::string_view query);
 
+// Whether the text is an IPv4 or IPv6 address.
+[[nodiscard]] bool is_numeric_address(const std::string& text);
+// ASCII letters in lower case, as names of hosts are compared.
+[[nodiscard]] std::string lower_case(std::string_view text);
+
 // The name of the cookie that holds the token.
 inline constexpr std::string_view kTokenCookie = "groma_token";
 

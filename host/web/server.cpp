@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <chrono>
 #include <deque>
+#include <stdexcept>
 #include <utility>
 
 #include <boost/asio/buffer.hpp>
@@ -81,26 +82,39 @@ std::string chosen_subprotocol(const Request& request, const Server::SocketPath&
   return {};
 }
 
+// Throws boost::system::system_error.
 std::unique_ptr<asio::ssl::context> make_tls(const TlsTexts& texts) {
   auto context = std::make_unique<asio::ssl::context>(asio::ssl::context::tls_server);
   context->set_options(asio::ssl::context::default_workarounds | asio::ssl::context::no_sslv2 |
                        asio::ssl::context::no_sslv3 | asio::ssl::context::no_tlsv1 |
                        asio::ssl::context::no_tlsv1_1);
+  // Without this OpenSSL would ask for a key's password on the terminal.
+  context->set_password_callback(
+      [](std::size_t, asio::ssl::context::password_purpose) { return std::string(); });
   context->use_certificate_chain(asio::buffer(texts.certificate_pem));
   context->use_private_key(asio::buffer(texts.key_pem), asio::ssl::context::pem);
+  // use_private_key() accepts a key of another kind than the certificate's.
+  if (SSL_CTX_check_private_key(context->native_handle()) != 1)
+    throw std::runtime_error("the key is not the certificate's");
   return context;
 }
 
 }  // namespace
 
+std::string fault_of(const TlsTexts& texts) {
+  try {
+    static_cast<void>(make_tls(texts));
+  } catch (const std::runtime_error& error) {
+    return error.what();
+  }
+  return {};
+}
+
 // An open WebSocket, owned by its reading operation.
 class Server::WebSocket : public Socket, public std::enable_shared_from_this<WebSocket> {
  public:
-  WebSocket(Server& server, Stream stream, const SocketPath& path, std::string subprotocol)
-      : server_(&server),
-        service_(*path.service),
-        subprotocol_(std::move(subprotocol)),
-        stream_(std::move(stream)) {
+  WebSocket(Server& server, Stream stream, SocketService& service)
+      : server_(&server), service_(service), stream_(std::move(stream)) {
     server.sockets_.push_back(this);
   }
   ~WebSocket() override {
@@ -109,31 +123,35 @@ class Server::WebSocket : public Socket, public std::enable_shared_from_this<Web
   WebSocket(const WebSocket&) = delete;
   WebSocket& operator=(const WebSocket&) = delete;
 
-  void accept(const Request& request) {
+  void accept(const Request& request, const std::string& subprotocol) {
     stream_.next_layer().next_layer().expires_never();  // the WebSocket has its own times
     stream_.set_option(websocket::stream_base::timeout{std::chrono::seconds(kPatience_s),
                                                        std::chrono::seconds(kSilence_s), true});
     stream_.read_message_max(kMaxMessage);
     stream_.auto_fragment(false);
-    stream_.set_option(websocket::stream_base::decorator([this](websocket::response_type& response) {
-      if (!subprotocol_.empty()) response.set(http::field::sec_websocket_protocol, subprotocol_);
+    stream_.set_option(websocket::stream_base::decorator([subprotocol](websocket::response_type& response) {
+      if (!subprotocol.empty()) response.set(http::field::sec_websocket_protocol, subprotocol);
     }));
     stream_.async_accept(request,
                          [self = shared_from_this()](const Error& error) { self->on_accepted(error); });
   }
 
   bool send(Message message, Kind kind) override {
-    if (waiting_bytes_ + message->size() > kMaxWaiting) {
-      if (server_ != nullptr) ++server_->counters_.left_out;
+    if (server_ == nullptr) return false;
+    if (waiting_bytes_ + cost(*message) > kMaxWaiting) {
+      ++server_->counters_.left_out;
+      if (Clock::now() - taken_ > std::chrono::seconds(kSilence_s)) stream_.next_layer().close();
       return false;
     }
-    waiting_bytes_ += message->size();
+    waiting_bytes_ += cost(*message);
     waiting_.push_back({std::move(message), kind});
-    if (waiting_.size() == 1) write();
+    if (waiting_.size() == 1) {
+      taken_ = Clock::now();
+      write();
+    }
     return true;
   }
   [[nodiscard]] std::size_t waiting_bytes() const noexcept override { return waiting_bytes_; }
-  [[nodiscard]] std::string_view subprotocol() const noexcept override { return subprotocol_; }
 
   // The server is destroyed before the context.
   void abandon() {
@@ -143,10 +161,16 @@ class Server::WebSocket : public Socket, public std::enable_shared_from_this<Web
   }
 
  private:
+  using Clock = std::chrono::steady_clock;
   struct Waiting {
     Message message;
     Kind kind;
   };
+  // Bytes, with those of the queue.
+  [[nodiscard]] static std::size_t cost(const std::string& message) noexcept {
+    constexpr std::size_t kQueued = 128;
+    return message.size() + kQueued;
+  }
 
   void on_accepted(const Error& error) {
     if (server_ == nullptr || error) return;
@@ -165,7 +189,8 @@ class Server::WebSocket : public Socket, public std::enable_shared_from_this<Web
     if (server_ == nullptr) return;
     if (error) {
       if (error == beast::error::timeout) ++server_->counters_.timed_out;
-      return end();
+      end();
+      return stream_.next_layer().close();  // else a write to a client that does not read goes on for ever
     }
     const auto bytes = buffer_.data();
     const std::string_view text(static_cast<const char*>(bytes.data()), bytes.size());
@@ -182,9 +207,12 @@ class Server::WebSocket : public Socket, public std::enable_shared_from_this<Web
   }
 
   void on_written(const Error& error) {
-    if (server_ == nullptr || error) return;  // the reading operation ends, too
+    if (server_ == nullptr) return;
+    if (error == beast::error::timeout) ++server_->counters_.timed_out;
+    if (error) return;  // the reading operation ends, too
     ++server_->counters_.messages;
-    waiting_bytes_ -= waiting_.front().message->size();
+    taken_ = Clock::now();
+    waiting_bytes_ -= cost(*waiting_.front().message);
     waiting_.pop_front();
     if (!waiting_.empty()) return write();
     if (is_open_) service_.on_drained(*this);
@@ -196,11 +224,11 @@ class Server::WebSocket : public Socket, public std::enable_shared_from_this<Web
 
   Server* server_;  // null: destroyed
   SocketService& service_;
-  std::string subprotocol_;
   websocket::stream<Stream, false> stream_;  // without compression
   beast::flat_static_buffer<kMaxMessage> buffer_;
   std::deque<Waiting> waiting_;  // the first one is being written
   std::size_t waiting_bytes_ = 0;
+  Clock::time_point taken_{};  // when the client took a message, or the first one began to wait
   bool is_open_ = false;
 };
 
@@ -208,7 +236,7 @@ class Server::WebSocket : public Socket, public std::enable_shared_from_this<Web
 class Server::Client : public std::enable_shared_from_this<Client> {
  public:
   Client(Server& server, tcp::socket socket)
-      : server_(&server), stream_(std::move(socket), server.tls_.get()), pause_(server.context_) {
+      : server_(&server), stream_(std::move(socket), server.tls_.get()) {
     server.clients_.push_back(this);
   }
   ~Client() {
@@ -217,12 +245,11 @@ class Server::Client : public std::enable_shared_from_this<Client> {
   Client(const Client&) = delete;
   Client& operator=(const Client&) = delete;
 
-  void start(std::chrono::steady_clock::time_point at) {
-    if (server_->tls_ == nullptr) return read();
-    pause_.expires_at(at);
-    pause_.async_wait([self = shared_from_this()](const Error& error) {
-      if (!error) self->shake_hands();
-    });
+  // False: it lost its place before.
+  bool start() {
+    if (server_ == nullptr) return false;
+    server_->tls_ == nullptr ? read() : shake_hands();
+    return true;
   }
 
   // Whether nothing of an answer is under way.
@@ -231,7 +258,6 @@ class Server::Client : public std::enable_shared_from_this<Client> {
   // The server is destroyed before the context, or needs the place.
   void abandon() {
     server_ = nullptr;
-    pause_.cancel();
     stream_.close();
   }
 
@@ -292,12 +318,13 @@ class Server::Client : public std::enable_shared_from_this<Client> {
     write();
   }
 
-  // The browser keeps the token as a cookie, so that it stands in no address.
+  // The browser keeps the token as a cookie for a year, so that the address does not contain it. Pages of
+  // other origins cannot use it for a WebSocket.
   void exchange_token() {
     prepare(http::status::see_other, "text/plain", "");
     response_.set(http::field::location, "/");
     response_.set(http::field::set_cookie, std::string(kTokenCookie) + "=" + server_->rules_.token +
-                                               "; Path=/; HttpOnly; SameSite=Strict" +
+                                               "; Path=/; Max-Age=31536000; HttpOnly; SameSite=Lax" +
                                                (server_->tls_ != nullptr ? "; Secure" : ""));
     write();
   }
@@ -309,13 +336,13 @@ class Server::Client : public std::enable_shared_from_this<Client> {
       response_.set(http::field::upgrade, "websocket");
       return write();
     }
-    std::string subprotocol = chosen_subprotocol(request, path);
+    const std::string subprotocol = chosen_subprotocol(request, path);
     if (subprotocol.empty() && path.needs_subprotocol)
       return respond(http::status::bad_request, "name a subprotocol that gromad speaks\n");
     if (server_->sockets_.size() >= kMaxSockets)
       return respond(http::status::service_unavailable, "as many WebSockets as gromad serves are open\n");
     ++server_->counters_.requests;
-    std::make_shared<WebSocket>(*server_, std::move(stream_), path, std::move(subprotocol))->accept(request);
+    std::make_shared<WebSocket>(*server_, std::move(stream_), *path.service)->accept(request, subprotocol);
   }
 
   void respond(http::status status, std::string_view body) {
@@ -359,19 +386,32 @@ class Server::Client : public std::enable_shared_from_this<Client> {
 
   Server* server_;  // null: destroyed
   Stream stream_;
-  asio::steady_timer pause_;
   beast::flat_static_buffer<kMaxRequest> buffer_;
   std::optional<http::request_parser<http::empty_body>> request_;
   http::response<http::string_body> response_;
   bool is_silent_ = true;
 };
 
+// A handshake of TLS costs some milliseconds, which poses would wait for.
+struct Server::Handshakes {
+  explicit Handshakes(asio::io_context& context) : timer(context) {}
+
+  std::deque<std::shared_ptr<Client>> waiting;
+  asio::steady_timer timer;
+  bool is_due = false;  // the timer runs
+  int at_once = kAtOnce;
+
+  static constexpr int kAtOnce = 8;
+  static constexpr std::chrono::milliseconds kBetween{50};
+};
+
 Server::Server(asio::io_context& context, AccessRules rules, const std::optional<TlsTexts>& tls)
-    : context_(context), rules_(std::move(rules)) {
+    : context_(context), rules_(std::move(rules)), handshakes_(std::make_unique<Handshakes>(context)) {
   if (tls) tls_ = make_tls(*tls);
 }
 
 Server::~Server() {
+  // Each is removed from the list when its operation ends, or here.
   for (Client* client : clients_) client->abandon();
   for (WebSocket* socket : sockets_) socket->abandon();
 }
@@ -397,7 +437,13 @@ void Server::add(io::Descriptor fd) {
   if (error) return;
   static_cast<void>(fd.release());
   socket.set_option(asio::socket_base::send_buffer_size(kSendBuffer), error);
-  std::make_shared<Client>(*this, std::move(socket))->start(next_handshake());
+  const auto client = std::make_shared<Client>(*this, std::move(socket));
+  if (tls_ == nullptr) {
+    client->start();
+    return;
+  }
+  handshakes_->waiting.push_back(client);
+  begin_handshakes();
 }
 
 bool Server::make_place() {
@@ -410,13 +456,21 @@ bool Server::make_place() {
   return true;
 }
 
-// A handshake of TLS costs some milliseconds, which poses would wait for: a few at once, then 20 a second.
-std::chrono::steady_clock::time_point Server::next_handshake() {
-  constexpr std::chrono::milliseconds kBetween{50};
-  constexpr int kAtOnce = 8;
-  const auto now = std::chrono::steady_clock::now();
-  handshake_ = std::max(handshake_ + kBetween, now - kAtOnce * kBetween);
-  return handshake_;
+void Server::begin_handshakes() {
+  Handshakes& to = *handshakes_;
+  while (!to.waiting.empty() && to.at_once > 0) {
+    const std::shared_ptr<Client> client = std::move(to.waiting.front());
+    to.waiting.pop_front();
+    if (client->start()) --to.at_once;
+  }
+  if (to.is_due || to.at_once == Handshakes::kAtOnce) return;
+  to.is_due = true;
+  to.timer.expires_after(Handshakes::kBetween);
+  to.timer.async_wait([this](const Error& error) {
+    if (error) return;  // the server is destroyed
+    handshakes_->is_due = false;
+    ++handshakes_->at_once;
+    begin_handshakes();
+  });
 }
-
 }  // namespace groma::web

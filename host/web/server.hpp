@@ -35,14 +35,14 @@ struct Counters {
   std::uint64_t sockets = 0;    // WebSockets opened
   std::uint64_t messages = 0;   // sent to WebSockets
   std::uint64_t left_out = 0;   // messages for which a client was too slow
-  std::uint64_t ignored = 0;    // messages of clients that say nothing to the server
+  std::uint64_t ignored = 0;    // messages of clients without a meaning
 };
 
 // An open WebSocket, valid from on_open() to on_close().
 class Socket {
  public:
   using Message = std::shared_ptr<const std::string>;
-  // Of a client with more bytes waiting than this, messages are left out.
+  // While more bytes wait for a client, messages to it are left out.
   static constexpr std::size_t kMaxWaiting = 1U << 20U;
 
   Socket(const Socket&) = delete;
@@ -53,8 +53,6 @@ class Socket {
   // False: left out.
   virtual bool send(Message message, Kind kind) = 0;
   [[nodiscard]] virtual std::size_t waiting_bytes() const noexcept = 0;
-  // The subprotocol that was chosen; empty: none.
-  [[nodiscard]] virtual std::string_view subprotocol() const noexcept = 0;
 
  protected:
   Socket() = default;
@@ -80,8 +78,10 @@ class SocketService {
 
 struct TlsTexts {
   std::string certificate_pem;  // the chain, the server's first
-  std::string key_pem;
+  std::string key_pem;          // without a password
 };
+// Why a server cannot use them, by OpenSSL's words; empty: it can.
+[[nodiscard]] std::string fault_of(const TlsTexts& texts);
 
 class Server {
  public:
@@ -92,8 +92,7 @@ class Server {
   static constexpr int kPatience_s = 10;            // for a request, and for the client to take the answer
   static constexpr int kSilence_s = 20;             // for a WebSocket's client to answer a ping
 
-  // Throws std::runtime_error, with OpenSSL's reason, if certificate and key are none or do not belong
-  // together.
+  // Throws std::runtime_error if fault_of(*tls) is not empty.
   Server(boost::asio::io_context& context, AccessRules rules, const std::optional<TlsTexts>& tls);
   ~Server();
   Server(const Server&) = delete;
@@ -117,8 +116,8 @@ class Server {
   };
   void serve(std::string path, SocketPath sockets);
 
-  // Serves a connected client. If all places are taken, the one that has been silent for longest loses its
-  // own.
+  // Serves a connected client. If all places are taken, the first one that came and says nothing now loses
+  // its own; WebSockets keep theirs.
   void add(io::Descriptor client);
 
   [[nodiscard]] const Counters& counters() const noexcept { return counters_; }
@@ -130,17 +129,19 @@ class Server {
   class WebSocket;
 
   [[nodiscard]] bool make_place();
-  [[nodiscard]] std::chrono::steady_clock::time_point next_handshake();
+  // Begins with clients that wait for TLS, a few at once, then 20 a second.
+  void begin_handshakes();
 
   boost::asio::io_context& context_;
   AccessRules rules_;
   std::unique_ptr<boost::asio::ssl::context> tls_;  // null: plain
+  struct Handshakes;
+  std::unique_ptr<Handshakes> handshakes_;
   std::map<std::string, Page, std::less<>> pages_;
   std::map<std::string, SocketPath, std::less<>> socket_paths_;
   Counters counters_;
   std::list<Client*> clients_;     // in the order of arrival; each is owned by its operation on the context
   std::list<WebSocket*> sockets_;  // likewise
-  std::chrono::steady_clock::time_point handshake_{};  // the last one's
 };
 
 }  // namespace groma::web

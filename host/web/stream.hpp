@@ -41,10 +41,9 @@ class Stream {
                 : tcp_->async_write_some(buffers, std::forward<Handler>(handler));
   }
 
-  // Calls back at once with plain TCP.
+  // Of a TLS stream.
   template <typename Handler>
   void async_handshake(Handler&& handler) {
-    if (!tls_) return handler(boost::beast::error_code{});
     tls_->async_handshake(boost::asio::ssl::stream_base::server, std::forward<Handler>(handler));
   }
 

@@ -114,7 +114,7 @@ std::string web_socket_request(const std::string& more = {}) {
 }
 
 // Asks as pages of others do: by another name (DNS rebinding), with another origin, for a WebSocket. It gets
-// an answer that is none.
+// no content.
 void ask_as_others(Arena& arena, double seconds) {
   std::atomic<int> served = 0;
   std::atomic<int> refused = 0;

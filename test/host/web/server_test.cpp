@@ -3,10 +3,12 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <chrono>
 #include <functional>
 #include <memory>
 #include <stdexcept>
 #include <string>
+#include <thread>
 #include <utility>
 #include <vector>
 
@@ -207,8 +209,8 @@ TEST_F(WebServerTest, ExchangesATokenForACookie) {
   const std::string answer = answer_to("GET /?token=" + token + " HTTP/1.1\r\nHost: localhost\r\n\r\n");
   EXPECT_THAT(answer, StartsWith("HTTP/1.1 303 "));
   EXPECT_THAT(answer, HasSubstr("\r\nLocation: /\r\n"));
-  EXPECT_THAT(answer,
-              HasSubstr("\r\nSet-Cookie: groma_token=" + token + "; Path=/; HttpOnly; SameSite=Strict\r\n"));
+  EXPECT_THAT(answer, HasSubstr("\r\nSet-Cookie: groma_token=" + token +
+                                "; Path=/; Max-Age=31536000; HttpOnly; SameSite=Lax\r\n"));
   EXPECT_THAT(answer_to("GET / HTTP/1.1\r\nHost: localhost\r\nCookie: groma_token=" + token + "\r\n\r\n"),
               StartsWith("HTTP/1.1 200 "));
   EXPECT_THAT(client()->open("/live", "Cookie: groma_token=" + token + "\r\n"), StartsWith("HTTP/1.1 101 "));
@@ -222,7 +224,6 @@ TEST_F(WebServerTest, OpensWebSockets) {
   EXPECT_THAT(answer, HasSubstr("Sec-WebSocket-Accept: s3pPLMBiTxaQ9kYGzzhZRbK+xOo=\r\n"));  // RFC 6455, 1.3
   EXPECT_THAT(answer, HasSubstr("Sec-WebSocket-Protocol: two\r\n"));
   ASSERT_EQ(service_.open.size(), 1U);
-  EXPECT_EQ(service_.open[0]->subprotocol(), "two");
   service_.open[0]->send(text("hello"), Socket::Kind::kText);
   service_.open[0]->send(text(std::string(70'000, 'x')), Socket::Kind::kBinary);
   const auto first = socket->next();
@@ -293,13 +294,28 @@ TEST_F(WebServerTest, LeavesOutMessagesOfASlowReader) {
   EXPECT_LT(sent, 300);
   EXPECT_LE(to.waiting_bytes(), Socket::kMaxWaiting);
   EXPECT_EQ(server_->counters().left_out, 1000U - static_cast<unsigned>(sent));
-  // It reads again: all that was not left out arrives, and the service gets to know it once.
+  // It reads again: all that was not left out arrives, and the service is notified once.
   int drained = 0;
   service_.on_drain = [&](Socket& /*socket*/) { ++drained; };
   int received = 0;
   while (socket->next(500)) ++received;
   EXPECT_EQ(received, sent);
   EXPECT_EQ(drained, 1);
+}
+
+// It ends its sending side and does not read: what waits for it ends with it.
+TEST_F(WebServerTest, EndsAHalfClosedWebSocket) {
+  const auto socket = client(4096);
+  ASSERT_THAT(socket->open("/live"), StartsWith("HTTP/1.1 101 "));
+  for (int i = 0; i < 50; ++i) service_.open.at(0)->send(text(std::string(10'000, 'x')), Socket::Kind::kText);
+  serve();
+  socket->end_sending();
+  for (int i = 0; i < 50 && server_->sockets() > 0; ++i) {
+    serve();
+    std::this_thread::sleep_for(std::chrono::milliseconds(5));
+  }
+  EXPECT_EQ(server_->sockets(), 0U);
+  EXPECT_EQ(service_.closed, 1);
 }
 
 TEST_F(WebServerTest, RefusesACertificateThatIsNone) {

@@ -45,8 +45,8 @@ std::string text_of(BIO* bio) {
   return out;
 }
 
-TlsTexts self_signed() {
-  const Key key(EVP_EC_gen("P-256"));
+TlsTexts self_signed(EVP_PKEY* made = EVP_EC_gen("P-256")) {
+  const Key key(made);
   const Certificate certificate(X509_new());
   ASN1_INTEGER_set(X509_get_serialNumber(certificate.get()), 1);
   X509_gmtime_adj(X509_getm_notBefore(certificate.get()), 0);
@@ -126,7 +126,7 @@ TEST_F(TlsTest, GivesACookieThatIsForTlsOnly) {
           "GET /?token=0123456789abcdef HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n",
           TLS1_3_VERSION);
   EXPECT_THAT(answer, StartsWith("HTTP/1.1 303 "));
-  EXPECT_THAT(answer, HasSubstr("; HttpOnly; SameSite=Strict; Secure\r\n"));
+  EXPECT_THAT(answer, HasSubstr("; HttpOnly; SameSite=Lax; Secure\r\n"));
 }
 
 TEST_F(TlsTest, AnswersNothingInPlainText) {
@@ -161,9 +161,16 @@ TEST(Tls, NeedsACertificateWithItsKey) {
   boost::asio::io_context context;
   TlsTexts texts = self_signed();
   EXPECT_NO_THROW(Server(context, {}, texts));
-  texts.key_pem = self_signed().key_pem;
-  EXPECT_THROW(Server(context, {}, texts), std::runtime_error);
-  EXPECT_THROW(Server(context, {}, TlsTexts{"nothing", texts.key_pem}), std::runtime_error);
+  EXPECT_EQ(fault_of(texts), "");
+  // Another key, one of another kind, and none.
+  constexpr unsigned kBits = 2048;
+  for (const std::string& other :
+       {self_signed().key_pem, self_signed(EVP_RSA_gen(kBits)).key_pem, std::string()}) {
+    texts.key_pem = other;
+    EXPECT_THROW(Server(context, {}, texts), std::runtime_error);
+    EXPECT_NE(fault_of(texts), "");
+  }
+  EXPECT_NE(fault_of({"nothing", self_signed().key_pem}), "");
 }
 
 }  // namespace

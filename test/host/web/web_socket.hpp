@@ -80,6 +80,7 @@ class WebSocketClient {
   }
   [[nodiscard]] bool ended() const { return tcp_.ended(); }
   void close() { tcp_.close(); }
+  void end_sending() { ::shutdown(tcp_.fd(), SHUT_WR); }
 
  private:
   std::optional<Frame> take() {
