@@ -62,7 +62,7 @@ export class Banner {
       this.expand(this.is_expanded);
     }
     // A screen reader speaks it when it changes.
-    const spoken = [`${words.title}.`, words.meaning, words.remedy, ...notices.map(({ title }) => `${title}.`)].join(" ");
+    const spoken = [`${words.title}.`, words.meaning, words.remedy, ...notices.map(({ title }) => `${title}.`)].filter(Boolean).join(" ");
     set_text(this.announcement, spoken);
   }
 }

@@ -196,7 +196,8 @@ function show_state(moment: Moment): void {
     const code = state.reason === "" ? state.state : `${state.state} ${state.reason}`;
     const words = state_words(state.state, state.reason);
     const notices = notices_of(moment);
-    banner.show(words.tone === "good" && notices.length > 0 ? { ...words, remedy: "See below." } : words, code, notices);
+    // The notices below have what there is to do.
+    banner.show(words.tone === "good" && notices.length > 0 ? { ...words, remedy: "" } : words, code, notices);
   } else {
     banner.show(recording ? kNoFile : kNoStatus, "", []);
   }

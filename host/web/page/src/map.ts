@@ -3,7 +3,7 @@ import { attach_gestures, Camera } from "./camera";
 import { length } from "./format";
 import type { Pose } from "./history";
 import { Layer } from "./layer";
-import { draw_static, grid_step_m, kAnchor_px, kFont } from "./map_static";
+import { draw_static, grid_step_m, kAnchor_px, kFont, overlaps, type Box } from "./map_static";
 import { anchors_of, pairs_of, type Anchor, type Model, type Moment } from "./model";
 import { ellipse_95, quality, tag_position_m, type Quality } from "./quality";
 import { kStates, type Tone } from "./states";
@@ -13,6 +13,7 @@ const kTrail_s = 600;
 // Points of the trail that are closer on the screen are left out.
 const kTrailStep_px = 2;
 const kDriveHere = 3; // so many of the least covered anchors have a marker
+const kPin_px = 9; // half the width of a marker
 const kClickReach_px = 18;
 
 export const kToneColour: Record<Tone, keyof Colours> = { good: "good", busy: "busy", warning: "warn", bad: "bad", idle: "idle" };
@@ -45,6 +46,7 @@ export class MapView {
   private shown: Anchor[] = [];
   private shown_of: Moment | null = null;
   private anchors_key = "";
+  private anchor_boxes: Box[] = []; // of symbols and labels, in the static layer
 
   constructor(
     private readonly canvas: HTMLCanvasElement,
@@ -210,7 +212,7 @@ export class MapView {
     if (this.static_layer.is_valid(this.camera, this.ratio, key)) return;
     this.static_layer.begin(this.camera, this.ratio, key);
     const content = { site: model.site, anchors: this.shown, floor, selected: this.selected, driven_cells: cells };
-    draw_static(this.static_layer.context, this.static_layer.camera, this.theme.colours, content);
+    this.anchor_boxes = draw_static(this.static_layer.context, this.static_layer.camera, this.theme.colours, content);
   }
 
   private update_trail(model: Model, moment: Moment): void {
@@ -302,34 +304,51 @@ export class MapView {
     wanted.sort((a, b) => a.coverage - b.coverage);
     context.font = `600 12px ${kFont}`;
     context.textBaseline = "middle";
-    context.textAlign = "left";
-    wanted.slice(0, kDriveHere).forEach((anchor, order) => {
+    const pins: { anchor: Anchor; x: number; y: number }[] = [];
+    for (const anchor of wanted) {
       const [x, y] = camera.to_px(...anchor.drive_to_m!);
-      // A pin whose tip is the place.
+      // Anchors that stand together ask for the same place: one pin is enough.
+      if (pins.length < kDriveHere && pins.every((pin) => Math.hypot(pin.x - x, pin.y - y) > 2 * kPin_px)) pins.push({ anchor, x, y });
+    }
+    context.textAlign = "center";
+    pins.forEach(({ x, y }, order) => {
+      // The tip is the place.
       context.beginPath();
       context.moveTo(x, y);
-      context.bezierCurveTo(x - 3, y - 8, x - 9, y - 11, x - 9, y - 18);
-      context.arc(x, y - 18, 9, Math.PI, 0);
-      context.bezierCurveTo(x + 9, y - 11, x + 3, y - 8, x, y);
+      context.bezierCurveTo(x - 3, y - 8, x - kPin_px, y - 11, x - kPin_px, y - 18);
+      context.arc(x, y - 18, kPin_px, Math.PI, 0);
+      context.bezierCurveTo(x + kPin_px, y - 11, x + 3, y - 8, x, y);
       context.fillStyle = colours.busy;
       context.strokeStyle = colours.card;
       context.lineWidth = 2;
       context.stroke();
       context.fill();
       context.fillStyle = colours.card;
-      context.textAlign = "center";
       context.fillText(String(order + 1), x, y - 17.5);
-      context.textAlign = "left";
-      const is_narrow = camera.width_px < 560;
+    });
+    context.textAlign = "left";
+    const is_narrow = camera.width_px < 560;
+    const [dx, dy] = camera.to_px(...this.static_layer.camera.to_m(0, 0));
+    const taken = this.anchor_boxes.map((box) => ({ left: box.left + dx, right: box.right + dx, top: box.top + dy, bottom: box.bottom + dy }));
+    for (const { x, y } of pins) taken.push({ left: x - kPin_px, right: x + kPin_px, top: y - 18 - kPin_px, bottom: y });
+    pins.forEach(({ anchor, x, y }, order) => {
       if (is_narrow && order > 0) return;
       const label = order > 0 ? `Anchor ${anchor.id}` : is_narrow ? "Drive here next" : `Drive here next (anchor ${anchor.id})`;
       const width_px = context.measureText(label).width;
-      const left_px = x + 13 + width_px < camera.width_px ? x + 13 : x - 13 - width_px;
+      const places = [[x + 13, y - 18], [x - 13 - width_px, y - 18], [x - width_px / 2, y - 36], [x - width_px / 2, y + 10]] as const;
+      const is_free = ([left, middle]: readonly [number, number]) => {
+        const box = { left, right: left + width_px, top: middle - 7, bottom: middle + 7 };
+        return left >= 0 && box.right <= camera.width_px && box.top >= 0 && !taken.some((other) => overlaps(box, other));
+      };
+      // The first one is what the driver needs; of the others a label is left out where it has no place.
+      const place = places.find(is_free) ?? (order === 0 ? places[x + 13 + width_px <= camera.width_px ? 0 : 1] : null);
+      if (!place) return;
+      taken.push({ left: place[0], right: place[0] + width_px, top: place[1] - 7, bottom: place[1] + 7 });
       context.strokeStyle = colours.card;
       context.lineWidth = 4;
-      context.strokeText(label, left_px, y - 18);
+      context.strokeText(label, ...place);
       context.fillStyle = colours.ink;
-      context.fillText(label, left_px, y - 18);
+      context.fillText(label, ...place);
     });
   }
 

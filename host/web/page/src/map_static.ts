@@ -23,7 +23,8 @@ export function grid_step_m(px_per_m: number, at_least_px: number): number {
   return power * ([1, 2, 5].find((factor) => factor * power >= wanted_m) ?? 10);
 }
 
-export function draw_static(context: CanvasRenderingContext2D, camera: Camera, colours: Colours, content: StaticContent): void {
+// Returns where symbols and labels of the anchors are, so that other labels keep clear of them.
+export function draw_static(context: CanvasRenderingContext2D, camera: Camera, colours: Colours, content: StaticContent): Box[] {
   draw_floors(context, camera, colours, content);
   draw_grid(context, camera, colours);
   draw_cells(context, camera, colours, content.driven_cells);
@@ -31,7 +32,7 @@ export function draw_static(context: CanvasRenderingContext2D, camera: Camera, c
   const placed = content.anchors.filter((anchor) => anchor.position_m !== null);
   for (const anchor of placed) draw_ellipse(context, camera, colours, anchor);
   for (const anchor of placed) draw_anchor(context, camera, colours, anchor, anchor.id === content.selected);
-  draw_labels(context, camera, colours, placed, content.selected);
+  return draw_labels(context, camera, colours, placed, content.selected);
 }
 
 function path(context: CanvasRenderingContext2D, camera: Camera, points: number[][]): void {
@@ -143,17 +144,17 @@ function draw_coverage(context: CanvasRenderingContext2D, colours: Colours, x_px
   context.stroke();
 }
 
-interface Box {
+export interface Box {
   left: number;
   top: number;
   right: number;
   bottom: number;
 }
 
-const overlaps = (a: Box, b: Box) => a.left < b.right && b.left < a.right && a.top < b.bottom && b.top < a.bottom;
+export const overlaps = (a: Box, b: Box) => a.left < b.right && b.left < a.right && a.top < b.bottom && b.top < a.bottom;
 
 // Each label takes the first place around its anchor that no symbol and no other label has.
-function draw_labels(context: CanvasRenderingContext2D, camera: Camera, colours: Colours, anchors: Anchor[], selected: number | null): void {
+function draw_labels(context: CanvasRenderingContext2D, camera: Camera, colours: Colours, anchors: Anchor[], selected: number | null): Box[] {
   const at = (anchor: Anchor) => camera.to_px(anchor.position_m![0]!, anchor.position_m![1]!);
   const taken: Box[] = anchors.map((anchor) => {
     const [x, y] = at(anchor);
@@ -187,5 +188,5 @@ function draw_labels(context: CanvasRenderingContext2D, camera: Camera, colours:
     context.fillStyle = colours.ink;
     context.fillText(label, cx, cy);
   }
+  return taken;
 }
-

@@ -169,11 +169,11 @@ export function state_words(state: string, reason: string): Words {
 const kStatusOnly = new Set(["UNINITIALIZED", "CALIBRATION_DRIVE", "CALIBRATING", "WAITING_FOR_ODOMETRY", "ODOMETRY_TIMES_WRONG"]);
 
 // A pose is newer than the status most of the time, and alone has the reason. Without odometry there are no poses: then
-// the status has the state.
+// the status has the state. gromad sends the last pose before a state without one up to 0.05 s late.
 export function state_of(moment: Moment): { state: string; reason: string } | null {
   const { pose, status } = moment;
   if (!status) return pose && { state: pose.state, reason: pose.reason };
-  if (kStatusOnly.has(status.state) && !(pose && pose.at_s > status.at_s + 2)) return { state: status.state, reason: "" };
+  if (kStatusOnly.has(status.state) && !(pose && pose.at_s > status.at_s + 0.2)) return { state: status.state, reason: "" };
   if (!pose || status.at_s > pose.at_s + 1) {
     if (status.state !== "DEGRADED") return { state: status.state, reason: "" };
     if (status.odometry_hz === 0) return { state: status.state, reason: "no-odometry" };

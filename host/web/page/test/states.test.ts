@@ -61,13 +61,13 @@ test("the pose has the reason; without poses the status has the state", () => {
   assert.deepEqual(state_of(model.moment(null)), { state: "DEGRADED", reason: "no-odometry" });
 });
 
-test("a state that only STATUS has is shown beside poses", () => {
+test("a state that only STATUS has is shown until a later pose", () => {
   const model = new Model();
   model.take(status("CALIBRATION_DRIVE"), 1);
-  model.take(pose(1, "TRACKING", null), 1.9);
+  model.take(pose(1, "TRACKING", null), 1.1);
   assert.equal(state_of(model.moment(null))!.state, "CALIBRATION_DRIVE");
-  model.take(pose(3.5, "TRACKING", null), 3.5);
-  assert.equal(state_of(model.moment(null))!.state, "TRACKING");
+  model.take(pose(1.3, "CONVERGING", null), 1.3);
+  assert.equal(state_of(model.moment(null))!.state, "CONVERGING");
 });
 
 test("links that are not open and findings are notices", () => {
