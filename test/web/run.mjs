@@ -1,10 +1,12 @@
-// Tests of the live page against a simulated site with a gromad; GROMA names the program groma.
+// Tests of the live page against a simulated site with a gromad; GROMA names the program groma. GROMA_PAGE, for work on the
+// page, names a folder with another build of it, which the browser shows in place of gromad's.
 //   node run.mjs                    in Chromium, and all below
 //   node run.mjs --without-browser  the page's model and Foxglove's client, in Node alone
 import { check_foxglove, check_layout } from "./foxglove.mjs";
 import { check_model } from "./model.mjs";
 import { PoseStream, start_site } from "./site.mjs";
 
+const kMostFailures = 8; // then the rest says nothing new
 let passed = 0;
 const failed = [];
 
@@ -18,6 +20,7 @@ async function check(name, test) {
   } catch (error) {
     failed.push(name);
     console.log(`FAILED  ${name}\n${String(error?.stack ?? error).replace(/^/gm, "        ")}`);
+    if (failed.length >= kMostFailures) throw new Error("too many failures");
   }
 }
 

@@ -112,13 +112,6 @@ export class Site extends Program {
     return this;
   }
 
-  // groma's child.
-  gromad() {
-    const pid = Number(readFileSync(`/proc/${this.pid}/task/${this.pid}/children`, "utf8").split(" ")[0]);
-    running.add(pid);
-    return { pid, kill: (signal) => kill(pid, signal), ended: () => !existsSync(`/proc/${pid}`) };
-  }
-
   calibration() {
     return read_calibration(readFileSync(join(this.folder, "calibration.yaml"), "utf8"));
   }
