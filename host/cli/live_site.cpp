@@ -29,7 +29,7 @@ constexpr double kHours = 12.0;
 
 // gromad beside this program.
 std::filesystem::path gromad() {
-  const std::filesystem::path path = std::filesystem::read_symlink("/proc/self/exe").parent_path() / "gromad";
+  std::filesystem::path path = std::filesystem::read_symlink("/proc/self/exe").parent_path() / "gromad";
   if (!std::filesystem::exists(path))
     throw io::DeviceError({path}, "does not exist", "build or install gromad beside groma");
   return path;
@@ -138,7 +138,8 @@ int report_behind(const simulation::SiteServer& server) {
   return io::kDoneWithWarnings;
 }
 
-int run_live(const sim::Scenario& scenario, simulation::SiteServer::Options options, std::uint16_t port) {
+int run_live(const sim::Scenario& scenario, const simulation::SiteServer::Options& options,
+             std::uint16_t port) {
   const volatile std::sig_atomic_t& stop = stop_on_signals();
   simulation::SiteServer server(scenario, options);
   const std::filesystem::path& folder = options.folder;

@@ -20,7 +20,7 @@ inline constexpr std::uint16_t kLivePort = 4722;  // of the page; gromad's defau
 // Runs until a stop signal, and prints the page's address. The folder gets gromad's configuration and the
 // files that it names. Throws as SiteServer, and io::DeviceError if gromad is not beside this program or
 // fails.
-[[nodiscard]] int run_live(const sim::Scenario& scenario, simulation::SiteServer::Options options,
+[[nodiscard]] int run_live(const sim::Scenario& scenario, const simulation::SiteServer::Options& options,
                            std::uint16_t port);
 
 }  // namespace groma::cli
