@@ -75,7 +75,7 @@ Sender sender_of(const Request& request) {
 // The first subprotocol that the client offers and the path speaks; empty: none.
 std::string chosen_subprotocol(const Request& request, const Server::SocketPath& path) {
   for (const auto offered : http::token_list(request[http::field::sec_websocket_protocol])) {
-    const std::string name(view(offered));
+    std::string name(view(offered));
     if (std::find(path.subprotocols.begin(), path.subprotocols.end(), name) != path.subprotocols.end())
       return name;
   }

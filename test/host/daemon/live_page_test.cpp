@@ -31,6 +31,7 @@ class LivePageTest : public DaemonLoop {
   }
   static std::vector<json> objects_of(const std::vector<std::string>& texts) {
     std::vector<json> out;
+    out.reserve(texts.size());
     for (const std::string& text : texts) out.push_back(json::parse(text));
     return out;
   }

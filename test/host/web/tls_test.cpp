@@ -141,9 +141,11 @@ TEST_F(TlsTest, AnswersNothingInPlainText) {
 // A few handshakes at once, then 20 a second: a flood of them delays no pose for long.
 TEST_F(TlsTest, SpreadsHandshakes) {
   const auto begin = std::chrono::steady_clock::now();
+  constexpr int kClients = 18;
   std::vector<std::thread> clients;
+  clients.reserve(kClients);
   std::atomic<int> served = 0;
-  for (int i = 0; i < 18; ++i) {
+  for (int i = 0; i < kClients; ++i) {
     clients.emplace_back([&] {
       if (!ask(listener_.port(), "GET / HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n",
                TLS1_3_VERSION)
@@ -153,7 +155,7 @@ TEST_F(TlsTest, SpreadsHandshakes) {
     });
   }
   for (std::thread& client : clients) client.join();
-  EXPECT_EQ(served, 18);
+  EXPECT_EQ(served, kClients);
   EXPECT_GT(std::chrono::steady_clock::now() - begin, std::chrono::milliseconds(400));
 }
 

@@ -43,7 +43,7 @@ class WebSocketClient {
     for (int i = 0; i < 200 && bytes_.find("\r\n\r\n") == std::string::npos && !tcp_.ended(); ++i) poll();
     const std::size_t end = bytes_.find("\r\n\r\n");
     if (end == std::string::npos) return bytes_;
-    const std::string header = bytes_.substr(0, end + 4);
+    std::string header = bytes_.substr(0, end + 4);
     bytes_.erase(0, end + 4);
     return header;
   }
