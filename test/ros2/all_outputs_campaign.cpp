@@ -6,14 +6,14 @@
 
 #include <atomic>
 #include <chrono>
-#include <cstdlib>
-#include <exception>
+#include <stdexcept>
 #include <string>
 #include <thread>
 #include <vector>
 
 #include "host/dds/node.hpp"
 #include "test/host/web/web_socket.hpp"
+#include "test/latency/campaign.hpp"
 #include "test/latency/load_generator.hpp"
 #include "test/latency/measurement.hpp"
 #include "test/ros2/network_namespace.hpp"
@@ -113,25 +113,13 @@ int run(double duration_s) {
   at_least("poses at the live page, of 20 a second", static_cast<double>(counts.page_poses),
            18.0 * duration_s);
   at_least("messages at Foxglove", static_cast<double>(counts.foxglove_messages), 5.0 * 18.0 * duration_s);
-  std::size_t missed = 0;
-  for (const Row& row : rows) missed += row.met ? 0U : 1U;
-  fmt::print("{}\n{} bounds missed\n", format_table(rows), missed);
-  return missed == 0 ? 0 : 1;
+  return report(rows);
 }
 
 }  // namespace
 }  // namespace groma::latency
 
 int main(int argc, char** argv) {
-  const double duration_s = argc > 1 ? std::strtod(argv[1], nullptr) : 600.0;
-  if (!(duration_s >= 10.0 && duration_s <= 600.0)) {
-    fmt::print(stderr, "all_outputs_campaign: give a duration of 10 to 600 s\n");
-    return 2;
-  }
-  try {
-    return groma::latency::run(duration_s);
-  } catch (const std::exception& error) {
-    fmt::print(stderr, "all_outputs_campaign: {}\n", error.what());
-    return 1;
-  }
+  return groma::latency::campaign(argc, argv, "all_outputs_campaign", {.usual_s = 600.0, .least_s = 10.0},
+                                  groma::latency::run);
 }

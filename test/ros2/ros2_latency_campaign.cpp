@@ -6,13 +6,13 @@
 #include <atomic>
 #include <chrono>
 #include <cmath>
-#include <cstdlib>
-#include <exception>
+#include <stdexcept>
 #include <thread>
 
 #include "host/dds/node.hpp"
 #include "host/ros2/message.hpp"
 #include "host/ros2/schemas.hpp"
+#include "test/latency/campaign.hpp"
 #include "test/latency/load_generator.hpp"
 #include "test/latency/measurement.hpp"
 #include "test/ros2/network_namespace.hpp"
@@ -96,25 +96,13 @@ int run(double duration_s) {
   state("allocations of other threads", with.thread_allocations_per_s, "a second");
   const double expected = static_cast<double>(with.pose_latencies_s.size());
   at_most("poses that the peer lacks", expected - static_cast<double>(at_peer_s.size()), 0.0, "");
-  std::size_t missed = 0;
-  for (const Row& row : rows) missed += row.met ? 0U : 1U;
-  fmt::print("{}\n{} bounds missed\n", format_table(rows), missed);
-  return missed == 0 ? 0 : 1;
+  return report(rows);
 }
 
 }  // namespace
 }  // namespace groma::latency
 
 int main(int argc, char** argv) {
-  const double duration_s = argc > 1 ? std::strtod(argv[1], nullptr) : 120.0;
-  if (!(duration_s >= 10.0 && duration_s <= 600.0)) {
-    fmt::print(stderr, "ros2_latency_campaign: give a duration of 10 to 600 s\n");
-    return 2;
-  }
-  try {
-    return groma::latency::run(duration_s);
-  } catch (const std::exception& error) {
-    fmt::print(stderr, "ros2_latency_campaign: {}\n", error.what());
-    return 1;
-  }
+  return groma::latency::campaign(argc, argv, "ros2_latency_campaign", {.usual_s = 120.0, .least_s = 10.0},
+                                  groma::latency::run);
 }

@@ -5,6 +5,7 @@ import type { Pose } from "./history";
 import { Layer } from "./layer";
 import { draw_static, grid_step_m, kAnchor_px, kFont, overlaps, type Box } from "./map_static";
 import { anchors_of, pairs_of, type Anchor, type Model, type Moment } from "./model";
+import { draw_ellipse } from "./ellipse";
 import { ellipse_95, quality, tag_position_m, type Quality } from "./quality";
 import { kStates, type Tone } from "./states";
 import type { Colours, Theme } from "./theme";
@@ -358,17 +359,7 @@ export class MapView {
     const [x, y] = camera.to_px(pose.x_m, pose.y_m);
     const colour = colours[kToneColour[kStates[pose.state]?.tone ?? "warning"]];
     const ellipse = ellipse_95(pose.xx_m2, pose.xy_m2, pose.yy_m2);
-    if (ellipse) {
-      context.beginPath();
-      context.ellipse(x, y, ellipse.major_m * camera.px_per_m, ellipse.minor_m * camera.px_per_m, -ellipse.angle_rad, 0, 2 * Math.PI);
-      context.fillStyle = context.strokeStyle = colours.estimate;
-      context.globalAlpha = 0.16;
-      context.fill();
-      context.globalAlpha = 0.9;
-      context.lineWidth = 1.3;
-      context.stroke();
-      context.globalAlpha = 1;
-    }
+    if (ellipse) draw_ellipse(context, camera, [x, y], ellipse, { colour: colours.estimate, fill: 0.16, line: 0.9, width_px: 1.3 });
     // Its size is that of a small vehicle, and never too small to see.
     const r = Math.max(11, 0.45 * camera.px_per_m);
     const [cos, sin] = [Math.cos(pose.yaw_rad), -Math.sin(pose.yaw_rad)];

@@ -1,5 +1,6 @@
 // What of the map seldom changes: grid, floors, walls, anchors with their ellipses, labels and coverage.
 import type { Camera } from "./camera";
+import { draw_ellipse } from "./ellipse";
 import type { Anchor, Site } from "./model";
 import { ellipse_95 } from "./quality";
 import { draw_symbol, symbol_of } from "./symbols";
@@ -30,7 +31,7 @@ export function draw_static(context: CanvasRenderingContext2D, camera: Camera, c
   draw_cells(context, camera, colours, content.driven_cells);
   draw_walls(context, camera, colours, content.site?.walls ?? []);
   const placed = content.anchors.filter((anchor) => anchor.position_m !== null);
-  for (const anchor of placed) draw_ellipse(context, camera, colours, anchor);
+  for (const anchor of placed) draw_anchor_ellipse(context, camera, colours, anchor);
   for (const anchor of placed) draw_anchor(context, camera, colours, anchor, anchor.id === content.selected);
   return draw_labels(context, camera, colours, placed, content.selected);
 }
@@ -102,20 +103,11 @@ function draw_walls(context: CanvasRenderingContext2D, camera: Camera, colours: 
   context.lineCap = "butt";
 }
 
-function draw_ellipse(context: CanvasRenderingContext2D, camera: Camera, colours: Colours, anchor: Anchor): void {
+function draw_anchor_ellipse(context: CanvasRenderingContext2D, camera: Camera, colours: Colours, anchor: Anchor): void {
   const [xx = NaN, xy = NaN, , , yy = NaN] = anchor.covariance_m2 ?? [];
   const ellipse = ellipse_95(xx, xy, yy);
   if (!ellipse) return;
-  const [x_px, y_px] = camera.to_px(anchor.position_m![0]!, anchor.position_m![1]!);
-  context.beginPath();
-  context.ellipse(x_px, y_px, ellipse.major_m * camera.px_per_m, ellipse.minor_m * camera.px_per_m, -ellipse.angle_rad, 0, 2 * Math.PI);
-  context.fillStyle = context.strokeStyle = colours.anchor;
-  context.globalAlpha = 0.12;
-  context.fill();
-  context.globalAlpha = 0.8;
-  context.lineWidth = 1.2;
-  context.stroke();
-  context.globalAlpha = 1;
+  draw_ellipse(context, camera, camera.to_px(anchor.position_m![0]!, anchor.position_m![1]!), ellipse, { colour: colours.anchor, fill: 0.12, line: 0.8, width_px: 1.2 });
 }
 
 function draw_anchor(context: CanvasRenderingContext2D, camera: Camera, colours: Colours, anchor: Anchor, is_selected: boolean): void {
