@@ -197,12 +197,14 @@ void add_demo(CLI::App& app, Action& action) {
                        "Folder for report.html, the calibration, the estimates and both drives as data sets")
           ->type_name("DIR");
   CLI::Option* const json = command->add_flag("--json", options->json, "Print one JSON object");
-  command
-      ->add_flag("--live", options->live,
-                 "Run the site in real time instead, with a gromad that serves its live page")
-      ->excludes(report)
-      ->excludes(json);
+  CLI::Option* const live =
+      command
+          ->add_flag("--live", options->live,
+                     "Run the site in real time instead, with a gromad that serves its live page")
+          ->excludes(report)
+          ->excludes(json);
   command->add_option("--port", options->port, "TCP port of the live page")
+      ->needs(live)
       ->check(CLI::Range(1, 65535))
       ->capture_default_str()
       ->type_name("N");

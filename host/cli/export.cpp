@@ -33,11 +33,10 @@ std::optional<model::Datum> parse_datum(const ExportOptions& options) {
   if (options.datum.empty()) return std::nullopt;
   if (options.format != "geojson") throw CLI::ValidationError("--datum", "is for --format geojson");
   const std::vector<double> numbers = parse_numbers("--datum", options.datum, 3);
-  constexpr double kMaxLatitude_deg = 90.0;
-  constexpr double kMaxLongitude_deg = 180.0;
-  if (std::abs(numbers[0]) > kMaxLatitude_deg || std::abs(numbers[1]) > kMaxLongitude_deg)
+  const model::Datum datum{numbers[0], numbers[1], numbers[2]};
+  if (!model::is_on_earth(datum))
     throw CLI::ValidationError("--datum", "has a latitude or longitude that does not exist");
-  return model::Datum{numbers[0], numbers[1], numbers[2]};
+  return datum;
 }
 
 std::string export_calibration(const ExportOptions& options, const std::optional<model::Datum>& datum) {

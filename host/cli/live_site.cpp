@@ -9,7 +9,9 @@
 #include <atomic>
 #include <csignal>
 #include <filesystem>
+#include <fstream>
 #include <string>
+#include <string_view>
 #include <thread>
 #include <utility>
 
@@ -26,6 +28,8 @@ namespace groma::cli {
 namespace {
 
 constexpr double kHours = 12.0;
+// The first line of a configuration that may be overwritten.
+constexpr std::string_view kMark = "# Written again at each start of the simulated site.\n";
 
 // gromad beside this program.
 std::filesystem::path gromad() {
@@ -87,6 +91,14 @@ std::string walls_text(const sim::Scenario& scenario) {
   return text;
 }
 
+void refuse_foreign(const std::filesystem::path& path) {
+  if (!std::filesystem::exists(path)) return;
+  std::string begin(kMark.size(), '\0');
+  std::ifstream(path).read(begin.data(), static_cast<std::streamsize>(begin.size()));
+  if (begin != kMark)
+    throw io::PathError({path}, "is not from an earlier --live", "choose another folder, or move the file");
+}
+
 // Site and robot as a data set describes them, with the keys that only gromad has in place of its name.
 std::string configuration(const sim::Scenario& scenario, const simulation::SiteServer& site, double speed,
                           std::uint16_t port, const std::filesystem::path& folder) {
@@ -98,7 +110,7 @@ std::string configuration(const sim::Scenario& scenario, const simulation::SiteS
       io::write_file(folder / file.name, file.text);
     }
   }
-  std::string out;
+  std::string out(kMark);
   for (std::size_t begin = 0; begin < text.size();) {
     const std::size_t end = std::min(text.find('\n', begin), text.size() - 1) + 1;
     const std::string line = text.substr(begin, end - begin);
@@ -141,8 +153,9 @@ int report_behind(const simulation::SiteServer& server) {
 int run_live(const sim::Scenario& scenario, const simulation::SiteServer::Options& options,
              std::uint16_t port) {
   const volatile std::sig_atomic_t& stop = stop_on_signals();
-  simulation::SiteServer server(scenario, options);
   const std::filesystem::path& folder = options.folder;
+  refuse_foreign(folder / "gromad.yaml");
+  simulation::SiteServer server(scenario, options);
   io::write_file(folder / "walls.csv", walls_text(scenario));
   io::write_file(folder / "gromad.yaml", configuration(scenario, server, options.speed, port, folder));
   Gromad daemon(folder / "gromad.yaml");

@@ -68,11 +68,13 @@ void add_sim(CLI::App& app, Action& action) {
   CLI::Option* const unconfigured = command->add_flag(
       "--unconfigured", options->server.site.unconfigured,
       "Unconfigured nodes, for 'groma configure'; then anchors have ports, too: anchor-10 and so on");
-  command
-      ->add_flag("--live", options->live,
-                 "Also run gromad on the site, and print the address of its live page")
-      ->excludes(unconfigured);
+  CLI::Option* const live =
+      command
+          ->add_flag("--live", options->live,
+                     "Also run gromad on the site, and print the address of its live page")
+          ->excludes(unconfigured);
   command->add_option("--port", options->port, "TCP port of the live page")
+      ->needs(live)
       ->check(CLI::Range(1, 65535))
       ->capture_default_str()
       ->type_name("N");

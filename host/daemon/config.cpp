@@ -239,10 +239,10 @@ Ros2Settings parse_ros2(const YamlValue& yaml) {
   parse_ros2_topic(yaml, "initialpose", out.initialpose);
   if (const auto datum = yaml.find("datum")) {
     const std::vector<double> terms = datum->numbers(3);
-    if (std::abs(terms[0]) > 90.0 || std::abs(terms[1]) > 180.0)
+    out.datum = model::Datum{terms[0], terms[1], terms[2]};
+    if (!model::is_on_earth(*out.datum))
       datum->fail("is beyond the Earth",
                   "give latitude and longitude of the map's origin in degrees, and its height in m");
-    out.datum = model::Datum{terms[0], terms[1], terms[2]};
   }
   if (!out.fix_topic.empty() && !out.datum)
     yaml.at("fix_topic").fail("needs 'datum'", "give the latitude, longitude and height of the map's origin");

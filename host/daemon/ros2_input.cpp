@@ -163,8 +163,7 @@ std::string Ros2Input::fix_line(const Fields& fields) {
   if (fields.number("position_covariance_type") == 0.0)
     throw Refused("position_covariance_type is 0, unknown; a fix needs a covariance");
   const model::Datum place{fields.number("latitude"), fields.number("longitude"), fields.number("altitude")};
-  if (std::abs(place.latitude_deg) > 90.0 || std::abs(place.longitude_deg) > 180.0)
-    throw Refused("latitude or longitude is beyond its range");
+  if (!model::is_on_earth(place)) throw Refused("latitude or longitude is beyond its range");
   const std::vector<double> terms = fields.numbers("position_covariance");
   const Eigen::Vector3d at_m = model::place_in_map(place, *settings_.datum);
   return fmt::format("{{\"class\":\"GNSS\",\"t_s\":{},\"x_m\":{},\"y_m\":{},\"covariance\":[{},{},{},{}]}}\n",

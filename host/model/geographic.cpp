@@ -39,6 +39,10 @@ Eigen::Matrix3d to_ecef(const Datum& datum) noexcept {
 
 }  // namespace
 
+bool is_on_earth(const Datum& place) noexcept {
+  return std::abs(place.latitude_deg) <= 90.0 && std::abs(place.longitude_deg) <= 180.0;
+}
+
 Eigen::Vector3d geographic(const Eigen::Vector3d& place_m, const Datum& datum) noexcept {
   const Eigen::Vector3d at = ecef(datum) + to_ecef(datum) * place_m;
   // Latitude by iteration; it converges by a factor of 1/300 a step.

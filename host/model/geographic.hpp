@@ -12,6 +12,9 @@ struct Datum {
   double height_m = 0.0;  // above the ellipsoid
 };
 
+// Whether its latitude and longitude exist.
+[[nodiscard]] bool is_on_earth(const Datum& place) noexcept;
+
 // Longitude and latitude (deg) and height (m) of a place in the map.
 [[nodiscard]] Eigen::Vector3d geographic(const Eigen::Vector3d& place_m, const Datum& datum) noexcept;
 // The reverse.

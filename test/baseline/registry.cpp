@@ -35,8 +35,8 @@ std::unique_ptr<Method> make_particles(const Drive& drive, const Parameters& par
 //   groma-baselines tune METHOD --runs D=R/calibration.yaml ... --draws 100     seeds 101 to 104
 //   groma-baselines tune particle-filter ... --draws 30 --to 170                seeds 101 to 103
 //   groma-baselines tune ceres-window ... --draws 24 --to 200                   seeds 101 to 103
-// The kernel of ceres-batch is the best of those that `reference --kernel` was tried with on seeds 101 to 104:
-// docs/reference/baselines.md.
+// The kernel of ceres-batch is the best of those that `reference --kernel` was tried with on seeds 101 to
+// 104: docs/reference/baselines.md.
 const std::vector<MethodInfo>& methods() {
   static const std::vector<MethodInfo> all{
       {.name = "paper-odometry",

@@ -12,6 +12,7 @@
 #include <csignal>
 #include <cstdio>
 #include <filesystem>
+#include <fstream>
 #include <functional>
 #include <optional>
 #include <span>
@@ -371,6 +372,16 @@ TEST_F(LiveSite, EndsGromadWithIt) {
     EXPECT_EQ(child.exit_code(), signal_number == SIGKILL ? -1 : 0) << errors();
     EXPECT_TRUE(wait_for([&] { return page_at(port_).empty(); }, 10.0)) << signal_number;
   }
+}
+
+TEST_F(LiveSite, KeepsAConfigurationThatItDidNotWrite) {
+  std::filesystem::create_directory(scratch_ / "ports");
+  const std::filesystem::path path = scratch_ / "ports" / "gromad.yaml";
+  std::ofstream(path) << "nodes: []\n";
+  Child child(arguments(), scratch_ / "errors");
+  EXPECT_EQ(child.exit_code(), 2);
+  EXPECT_THAT(errors(), HasSubstr("gromad.yaml: is not from an earlier --live"));
+  EXPECT_EQ(test::read_text(path), "nodes: []\n");
 }
 
 TEST_F(LiveSite, EndsWhenGromadDoes) {
