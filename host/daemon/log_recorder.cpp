@@ -16,10 +16,9 @@ std::uint64_t unix_time_ns() {
 }  // namespace
 
 LogRecorder::LogRecorder(Setup setup) : setup_(std::move(setup)), writer_(setup_.name, setup_.open, begin()) {
-  std::string empty;
-  empty.reserve(LogWriter::kBuffer);
+  std::string empty = LogWriter::make_buffer();
   encoder_.take(empty);
-  bytes_.reserve(LogWriter::kBuffer);
+  bytes_ = LogWriter::make_buffer();
 }
 
 LogRecorder::~LogRecorder() {

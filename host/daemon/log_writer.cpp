@@ -58,6 +58,12 @@ io::Descriptor open_log(const std::filesystem::path& path) {
   return file;
 }
 
+std::string LogWriter::make_buffer() {
+  std::string buffer(kBuffer, '\0');
+  buffer.clear();
+  return buffer;
+}
+
 LogWriter::LogWriter(std::filesystem::path name, Open open, std::string_view begin)
     : name_(std::move(name)), open_(std::move(open)) {
   int error = 0;
@@ -72,7 +78,7 @@ LogWriter::LogWriter(std::filesystem::path name, Open open, std::string_view beg
                           "check the device, or choose another file for `log`");
   }
   if (error != 0) end_with(fmt::format("cannot be written ({}); nothing is recorded", reason(error)));
-  waiting_.reserve(kBuffer);
+  waiting_ = make_buffer();
   writer_ = std::thread([this] { write_loop(); });
 }
 
@@ -116,8 +122,7 @@ void LogWriter::end_with(std::string failure) {
 void LogWriter::write_loop() {
   using Clock = std::chrono::steady_clock;
   Clock::time_point next_sync = Clock::now();
-  std::string bytes;
-  bytes.reserve(kBuffer);
+  std::string bytes = make_buffer();
   std::vector<std::size_t> cuts;
   std::unique_lock lock(mutex_);
   while (true) {

@@ -25,6 +25,8 @@ class LogWriter {
   static constexpr double kSyncEvery_s = 5.0;
   // More than the bytes of a second at full rate and a snapshot: buffers of this size do not grow.
   static constexpr std::size_t kBuffer = 1'048'576;
+  // Its memory is touched at once, so that it does not grow with the first snapshots.
+  [[nodiscard]] static std::string make_buffer();
   // Bytes that may wait for the disk; beyond that the recording ends.
   static constexpr std::size_t kMaxWaiting = 16'777'216;
 

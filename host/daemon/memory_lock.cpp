@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 #include <linux/capability.h>
+#include <malloc.h>
 #include <sys/mman.h>
 #include <sys/resource.h>
 #include <sys/syscall.h>
@@ -24,6 +25,10 @@ bool is_exempt() {
 }  // namespace
 
 std::string lock_memory() {
+  // The allocator's value at the start, but fixed: larger blocks go back to the system when they are freed.
+  // It cannot trim locked memory, because madvise() fails there.
+  constexpr int kLargeBlock = 128 * 1024;
+  ::mallopt(M_MMAP_THRESHOLD, kLargeBlock);
   rlimit limit{};
   ::getrlimit(RLIMIT_MEMLOCK, &limit);
   limit.rlim_cur = limit.rlim_max;

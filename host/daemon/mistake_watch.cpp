@@ -1,7 +1,6 @@
 #include "host/daemon/mistake_watch.hpp"
 
 #include <fmt/format.h>
-#include <malloc.h>
 #include <sys/resource.h>
 #include <unistd.h>
 
@@ -138,8 +137,6 @@ void MistakeWatch::service(double now_s) {
     std::stable_sort(data.odometry.begin(), data.odometry.end(), by_time);
     Search search{.findings = diagnosis::diagnose(std::move(data), calibration), .took_s = 0.0};
     search.took_s = thread_time_s();
-    // The allocator would keep what the search has used, some MiB, for this thread's successors.
-    ::malloc_trim(0);
     return search;
   });
 }

@@ -25,12 +25,14 @@ namespace groma::dds {
 namespace {
 
 // One interface that Cyclone chooses, with multicast, and unicast to this computer: so nodes with any of ROS
-// 2's own settings are found, on this computer and on others.
+// 2's own settings are found, on this computer and on others. Buffers of 1 MiB, the library's own size, fill
+// over minutes.
 constexpr std::string_view kSettings =
     "<CycloneDDS><Domain Id=\"any\"><General><Interfaces><NetworkInterface autodetermine=\"true\"/>"
     "</Interfaces></General><Discovery><ParticipantIndex>auto</ParticipantIndex>"
     "<MaxAutoParticipantIndex>32</MaxAutoParticipantIndex>"
-    "<Peers><Peer address=\"localhost\"/></Peers></Discovery></Domain></CycloneDDS>";
+    "<Peers><Peer address=\"localhost\"/></Peers></Discovery>"
+    "<Sizing><ReceiveBufferSize>256 KiB</ReceiveBufferSize></Sizing></Domain></CycloneDDS>";
 
 constexpr std::string_view kParticipantType = "rmw_dds_common/msg/ParticipantEntitiesInfo";
 constexpr std::string_view kParticipantTopic = "ros_discovery_info";

@@ -3,12 +3,17 @@
 // other.
 #pragma once
 
+#include <fmt/format.h>
 #include <sched.h>
+#include <sys/wait.h>
 #include <unistd.h>
 
+#include <csignal>
 #include <cstdlib>
 #include <fstream>
+#include <stdexcept>
 #include <string>
+#include <vector>
 
 namespace groma::test {
 
@@ -27,5 +32,48 @@ inline bool enter_network_namespace() {
              "ip addr add 198.51.100.2/24 dev test0 && ip link set test0 up && ip link set test1 up && "
              "ip route add default dev test0") == 0;
 }
+
+// A second computer, at the other end of the cable, while this object exists. After
+// enter_network_namespace().
+class OtherHost {
+ public:
+  OtherHost() : pid_(::fork()) {
+    if (pid_ == 0) {
+      if (::unshare(CLONE_NEWNET) != 0) ::_exit(1);
+      ::raise(SIGSTOP);
+      ::_exit(0);
+    }
+    int status = 0;
+    if (::waitpid(pid_, &status, WUNTRACED) != pid_ || !WIFSTOPPED(status))
+      throw std::runtime_error("no second network namespace");
+    run(
+        fmt::format("ip link set test1 netns {0} && nsenter -n -t {0} sh -c 'ip link set lo up && "
+                    "ip addr add 198.51.100.3/24 dev test1 && ip link set test1 up'",
+                    pid_));
+  }
+  ~OtherHost() {
+    static_cast<void>(std::system(
+        fmt::format(
+            "nsenter -n -t {} ip link set test1 netns {} && ip link set test1 up",  // NOLINT(cert-env33-c)
+            pid_, ::getpid())
+            .c_str()));
+    ::kill(pid_, SIGKILL);
+    ::waitpid(pid_, nullptr, 0);
+  }
+  OtherHost(const OtherHost&) = delete;
+  OtherHost& operator=(const OtherHost&) = delete;
+
+  // Comes before the words of a command that is to run there.
+  [[nodiscard]] std::vector<std::string> prefix() const {
+    return {"nsenter", "-n", "-t", std::to_string(pid_)};
+  }
+
+ private:
+  static void run(const std::string& command) {
+    if (std::system(command.c_str()) != 0) throw std::runtime_error(command);  // NOLINT(cert-env33-c)
+  }
+
+  pid_t pid_;
+};
 
 }  // namespace groma::test

@@ -32,8 +32,11 @@ class Peer {
   // "reliable", "volatile", "100"}.
   using Endpoint = std::array<std::string, 6>;
 
-  Peer(unsigned domain, const std::string& profile, const std::vector<Endpoint>& endpoints) {
-    std::vector<std::string> arguments{ROS2_PEER_PATH, std::to_string(domain), profile};
+  // prefix: of the command, such as OtherHost::prefix().
+  Peer(unsigned domain, const std::string& profile, const std::vector<Endpoint>& endpoints,
+       std::vector<std::string> prefix = {}) {
+    std::vector<std::string> arguments = std::move(prefix);
+    arguments.insert(arguments.end(), {ROS2_PEER_PATH, std::to_string(domain), profile});
     for (const Endpoint& endpoint : endpoints)
       arguments.insert(arguments.end(), endpoint.begin(), endpoint.end());
     std::array<int, 2> in{};
@@ -48,7 +51,7 @@ class Peer {
     if (pid_ == 0) {
       ::dup2(in[0], STDIN_FILENO);
       ::dup2(out[1], STDOUT_FILENO);
-      ::execv(argv[0], argv.data());
+      ::execvp(argv[0], argv.data());
       ::_exit(127);
     }
     ::close(in[0]);

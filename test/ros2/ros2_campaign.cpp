@@ -1,20 +1,49 @@
-// gromad and its peer with the settings that ROS 2 has for networks, and restarts.
+// gromad and its peer with the settings that ROS 2 has for networks, on two computers, and restarts.
 #include <cstdlib>
+#include <string>
+#include <utility>
+#include <vector>
 
 #include "test/ros2/ros2_fixture.hpp"
 
 namespace groma::daemon {
 namespace {
 
+class Ros2Networks : public Ros2Test {
+ protected:
+  // The peer sends the odometry, and reads all that gromad publishes.
+  void drive_with(const std::string& profile, std::vector<std::string> prefix) {
+    SimulatedSite site(folder_.path(), kSpeed);
+    set_clock(site);
+    write_surveyed(site);
+    std::vector<Peer::Endpoint> endpoints = all_readers();
+    endpoints.push_back(writes("/odom", "nav_msgs/msg/Odometry"));
+    Peer peer(31, profile, endpoints, std::move(prefix));
+    send_by(peer, site);
+    Gromad gromad({"--config", ros2_config("{domain_id: 31, graph: iron}", false)});
+    ASSERT_TRUE(run_with(peer, site, gromad, [&] {
+      return poses("TRACKING") >= 250 && peer.of("rt/groma/pose").size() >= 100 &&
+             peer.of("rt/tf").size() >= 100 && peer.of("rt/diagnostics").size() >= 2 &&
+             !peer.of("rt/groma/anchors").empty();
+    })) << gromad.log();
+    EXPECT_LT(largest_error_m(site, 100), 0.3);
+  }
+};
+
+TEST_F(Ros2Networks, GromadAndAPeerOnAnotherComputerHearEachOther) {
+  const groma::test::OtherHost other;
+  drive_with("default", other.prefix());
+}
+
 struct Settings {
   const char* profile;
   bool is_loopback;  // gromad's too
 };
 
-class Ros2Settings : public Ros2Test, public testing::WithParamInterface<Settings> {
+class Ros2Settings : public Ros2Networks, public testing::WithParamInterface<Settings> {
  protected:
   void SetUp() override {
-    Ros2Test::SetUp();
+    Ros2Networks::SetUp();
     constexpr const char* kLoopback =
         "<CycloneDDS><Domain Id=\"any\"><General><Interfaces><NetworkInterface name=\"lo\" "
         "multicast=\"false\"/>"
@@ -27,20 +56,7 @@ class Ros2Settings : public Ros2Test, public testing::WithParamInterface<Setting
 };
 
 TEST_P(Ros2Settings, GromadAndPeerHearEachOther) {
-  SimulatedSite site(folder_.path(), kSpeed);
-  set_clock(site);
-  write_surveyed(site);
-  std::vector<Peer::Endpoint> endpoints = all_readers();
-  endpoints.push_back(writes("/odom", "nav_msgs/msg/Odometry"));
-  Peer peer(31, GetParam().profile, endpoints);
-  send_by(peer, site);
-  Gromad gromad({"--config", ros2_config("{domain_id: 31, graph: iron}", false)});
-  ASSERT_TRUE(run_with(peer, site, gromad, [&] {
-    return poses("TRACKING") >= 250 && peer.of("rt/groma/pose").size() >= 100 &&
-           peer.of("rt/tf").size() >= 100 && peer.of("rt/diagnostics").size() >= 2 &&
-           !peer.of("rt/groma/anchors").empty();
-  })) << gromad.log();
-  EXPECT_LT(largest_error_m(site, 100), 0.3);
+  drive_with(GetParam().profile, {});
 }
 
 INSTANTIATE_TEST_SUITE_P(All, Ros2Settings,
