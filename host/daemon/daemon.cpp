@@ -164,8 +164,10 @@ link::LinkError Daemon::open_servers() {
     if (!ros2.ros2) return ros2.error;
     ros2_ = ros2.ros2.get();
     outputs_.push_back(std::move(ros2.ros2));
-    log_(fmt::format("ROS 2 in domain {}, topics in /{}; DDS listens on all interfaces, without a password",
-                     config_.ros2->domain_id, config_.ros2->name_space));
+    log_(
+        fmt::format("ROS 2 in domain {}, topics in /{}; DDS listens on all interfaces, and has no password "
+                    "but DDS Security",
+                    config_.ros2->domain_id, config_.ros2->name_space));
   }
   return config_.web ? open_web(*config_.web) : link::LinkError{};
 }

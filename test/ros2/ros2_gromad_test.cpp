@@ -2,7 +2,9 @@
 #include <gmock/gmock.h>
 
 #include <algorithm>
+#include <atomic>
 #include <chrono>
+#include <cstdlib>
 #include <filesystem>
 #include <fstream>
 #include <iterator>
@@ -353,6 +355,55 @@ TEST_F(Ros2Test, ACaptureRepeatsWhatThePeerReceived) {
     for (std::size_t i = 0; i < expected.size(); ++i)
       EXPECT_EQ(expected[i], first[static_cast<std::ptrdiff_t>(i)]);
   }
+}
+
+// A second node by Cyclone DDS: keys of one middleware are not understood by the other (docs/how-to/ros2.md).
+class SecureRos2 : public Ros2Test {
+ protected:
+  void SetUp() override {
+    Ros2Test::SetUp();
+    if (IsSkipped()) return;
+    const groma::test::ChildResult keys = groma::test::run_child(
+        {GROMA_SOURCE_DIR "/examples/ros2/make-enclaves", folder_ / "keys", "33", "groma", "navigation"});
+    ASSERT_EQ(keys.exit_code, 0) << keys.err;
+    ::setenv("CYCLONEDDS_URI", "file://" GROMA_SOURCE_DIR "/examples/ros2/security.xml", 1);
+  }
+  void TearDown() override { ::unsetenv("CYCLONEDDS_URI"); }
+
+  void take_keys_of(const char* name) const {
+    ::setenv("GROMA_ENCLAVE", (folder_ / "keys" / name).c_str(), 1);
+  }
+};
+
+TEST_F(SecureRos2, SendsThePoseToNodesWithKeysAlone) {
+  SimulatedSite site(folder_.path(), kSpeed);
+  set_clock(site);
+  write_surveyed(site);
+  Peer other(33, "default", all_readers());
+  take_keys_of("groma");
+  Gromad gromad({"--config", ros2_config("{domain_id: 33}")});
+  take_keys_of("navigation");
+  std::atomic<int> heard = 0;
+  const dds::Node navigation(
+      {.domain_id = 33,
+       .name_space = "/",
+       .name = "navigation",
+       .outputs = {},
+       .inputs = {{"/groma/pose", "geometry_msgs/msg/PoseWithCovarianceStamped", {.is_reliable = false}}},
+       .on_message = [&](std::size_t /*input*/, std::string_view /*cdr*/) { ++heard; },
+       .on_wake = [] {}});
+  ASSERT_TRUE(run_with(other, site, gromad, [&] { return heard >= 400; })) << gromad.log();
+  EXPECT_TRUE(other.of("rt/groma/pose").empty());
+  EXPECT_TRUE(other.of("rt/tf").empty());
+}
+
+TEST_F(SecureRos2, DoesNotStartWithoutItsKeys) {
+  const SimulatedSite site(folder_.path(), kSpeed);
+  write_surveyed(site);
+  take_keys_of("nobody");
+  Gromad gromad({"--config", ros2_config("{domain_id: 33}")});
+  EXPECT_EQ(gromad.exit_code(), 69) << gromad.log();
+  EXPECT_THAT(gromad.log(), HasSubstr("there is no participant"));
 }
 
 }  // namespace
