@@ -1,5 +1,6 @@
 // Numbers of fields are those of schemas/foxglove.proto and schemas/groma_msgs.proto.
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 
 #include <array>
 #include <cmath>
@@ -82,6 +83,9 @@ std::string text_above(const Eigen::Vector3d& at_m, const std::string& text) {
       .message();
 }
 
+// Of an anchor's details in Foxglove; the live page draws the ellipse from it.
+constexpr std::string_view kCovarianceKey = "covariance_m2";
+
 Color color_of(model::AnchorVerdict verdict) {
   if (verdict == model::AnchorVerdict::kOk) return kGreen;
   return model::is_usable(verdict) ? kYellow : kRed;
@@ -90,8 +94,14 @@ Color color_of(model::AnchorVerdict verdict) {
 std::string anchor_entity(double t_s, std::string_view frame, const model::AnchorCalibration& anchor) {
   std::string text = fmt::format("{}", anchor.id);
   if (anchor.verdict != model::AnchorVerdict::kOk) text += fmt::format(" {}", io::word(anchor.verdict));
+  const Eigen::Matrix3d covariance_m2 = anchor.covariance.topLeftCorner<3, 3>();  // symmetric
   return in_frame(t_s, frame)
       .bytes(3, fmt::format("anchor {}", anchor.id))
+      .bytes(6, ProtoWriter()
+                    .bytes(1, kCovarianceKey)
+                    .bytes(2, fmt::format("{:.4g}",
+                                          fmt::join(covariance_m2.data(), covariance_m2.data() + 9, " ")))
+                    .message())
       .bytes(8, cube(anchor.position_m, kAnchor_m, color_of(anchor.verdict)))
       .bytes(13, text_above(anchor.position_m, text))
       .message();

@@ -217,6 +217,8 @@ TEST_F(NpmConvert, FoxgloveHasTheSceneAndTheLog) {
   EXPECT_EQ(entities[0]["id"], "anchor 4");
   EXPECT_EQ(entities[0]["cubes"][0]["pose"]["position"], json({{"x", -1.0}, {"y", -2.0}, {"z", 2.8}}));
   EXPECT_EQ(entities[0]["texts"][0]["text"], "4");
+  EXPECT_EQ(entities[0]["metadata"][0]["key"], "covariance_m2");
+  EXPECT_THAT(entities[0]["metadata"][0]["value"].get<std::string>(), HasSubstr(" "));
   EXPECT_EQ(entities.back()["frame_id"], "base_link");
   EXPECT_EQ(entities.back()["frame_locked"], true);
   EXPECT_EQ(entities.back()["spheres"].size(), run_.tags.size());

@@ -188,7 +188,7 @@ class Translator {
     this.put({ class: "POSE", t_s, state: this.state, reason: fields.text(11), x_m, y_m, z_m, yaw_rad, covariance, twist: this.twist }, t_s);
   }
 
-  // Anchors are cubes with their verdict in a text, "12 weak"; tags are spheres of the robot, in the order of their ids.
+  // Anchors are cubes with their verdict in a text, "12 weak", and their covariance among the details; tags are spheres of the robot, in the order of their ids.
   private take_scene(t_s: number, fields: Fields): void {
     const anchors: NonNullable<AnchorsMessage["anchors"]> = [];
     const site: SiteMessage = { class: "SITE", frame: "map", tags: [], walls: [], floors: [] };
@@ -200,7 +200,9 @@ class Translator {
       const id = entity.text(3);
       if (id.startsWith("anchor ")) {
         const verdict = entity.parts(13)[0]?.text(6).split(" ")[1] ?? "ok";
-        anchors.push({ id: Number(id.slice(7)), position_m: position_of(entity.parts(8)[0]), verdict });
+        const covariance = entity.parts(6).find((detail) => detail.text(1) === "covariance_m2");
+        const covariance_m2 = covariance ? covariance.text(2).split(" ").map(Number) : null;
+        anchors.push({ id: Number(id.slice(7)), position_m: position_of(entity.parts(8)[0]), covariance_m2, verdict });
         site.frame = entity.text(2);
       } else if (id === "robot") {
         site.tags = entity.parts(9).map((sphere, index) => ({ id: index + 1, lever_arm_m: position_of(sphere) }));

@@ -59,7 +59,7 @@ const estimate = (x_m: number, state: string, reason = "") =>
 
 function drive() {
   const scene = message(
-    field(2, message(field(2, "map"), field(3, "anchor 4"), field(8, shape(1, 2, 3)), field(13, field(6, "4")))),
+    field(2, message(field(2, "map"), field(3, "anchor 4"), field(6, message(field(1, "covariance_m2"), field(2, "1 0 0 0 4 0 0 0 9"))), field(8, shape(1, 2, 3)), field(13, field(6, "4")))),
     field(2, message(field(2, "map"), field(3, "anchor 12"), field(8, shape(4, 5, 6)), field(13, field(6, "12 weak-z")))),
     field(2, message(field(2, "base_link"), field(3, "robot"), field(9, shape(0.7, 0.2, 1.9)), field(9, shape(-0.7, 0, 1)))),
   );
@@ -87,6 +87,8 @@ test("a recording becomes a model with poses, anchors, tags, pairs and log", asy
   assert.equal(model.moment(0.5).pose!.state, "CONVERGING");
   const [four, twelve] = anchors_of(moment);
   assert.deepEqual([four!.id, four!.verdict, four!.position_m], [4, "ok", [1, 2, 3]]);
+  assert.deepEqual(four!.covariance_m2, [1, 0, 0, 0, 4, 0, 0, 0, 9]);
+  assert.equal(twelve!.covariance_m2, null);
   assert.deepEqual([twelve!.id, twelve!.verdict, twelve!.position_m], [12, "weak-z", [4, 5, 6]]);
   assert.deepEqual(model.site!.tags, [{ id: 1, lever_arm_m: [0.7, 0.2, 1.9] }, { id: 2, lever_arm_m: [-0.7, 0, 1] }]);
   const [pair] = pairs_of(model.status);
