@@ -363,8 +363,9 @@ class SecureRos2 : public Ros2Test {
   void SetUp() override {
     Ros2Test::SetUp();
     if (IsSkipped()) return;
-    const groma::test::ChildResult keys = groma::test::run_child(
-        {GROMA_SOURCE_DIR "/examples/ros2/make-enclaves", folder_ / "keys", "33", "groma", "navigation"});
+    const groma::test::ChildResult keys =
+        groma::test::run_child({std::string(GROMA_SOURCE_DIR) + "/examples/ros2/make-enclaves",
+                                folder_ / "keys", "33", "groma", "navigation"});
     ASSERT_EQ(keys.exit_code, 0) << keys.err;
     ::setenv("CYCLONEDDS_URI", "file://" GROMA_SOURCE_DIR "/examples/ros2/security.xml", 1);
   }
