@@ -46,17 +46,13 @@ class OtherHost {
     int status = 0;
     if (::waitpid(pid_, &status, WUNTRACED) != pid_ || !WIFSTOPPED(status))
       throw std::runtime_error("no second network namespace");
-    run(
-        fmt::format("ip link set test1 netns {0} && nsenter -n -t {0} sh -c 'ip link set lo up && "
-                    "ip addr add 198.51.100.3/24 dev test1 && ip link set test1 up'",
-                    pid_));
+    if (!run(fmt::format("ip link set test1 netns {0} && nsenter -n -t {0} sh -c 'ip link set lo up && "
+                         "ip addr add 198.51.100.3/24 dev test1 && ip link set test1 up'",
+                         pid_)))
+      throw std::runtime_error("the cable cannot be moved to the second network namespace");
   }
   ~OtherHost() {
-    static_cast<void>(std::system(
-        fmt::format(
-            "nsenter -n -t {} ip link set test1 netns {} && ip link set test1 up",  // NOLINT(cert-env33-c)
-            pid_, ::getpid())
-            .c_str()));
+    run(fmt::format("nsenter -n -t {} ip link set test1 netns {} && ip link set test1 up", pid_, ::getpid()));
     ::kill(pid_, SIGKILL);
     ::waitpid(pid_, nullptr, 0);
   }
@@ -69,8 +65,8 @@ class OtherHost {
   }
 
  private:
-  static void run(const std::string& command) {
-    if (std::system(command.c_str()) != 0) throw std::runtime_error(command);  // NOLINT(cert-env33-c)
+  static bool run(const std::string& command) {
+    return std::system(command.c_str()) == 0;  // NOLINT(cert-env33-c)
   }
 
   pid_t pid_;

@@ -12,7 +12,7 @@ namespace {
 class Ros2Networks : public Ros2Test {
  protected:
   // The peer sends the odometry, and reads all that gromad publishes.
-  void drive_with(const std::string& profile, std::vector<std::string> prefix) {
+  void drive_with(const std::string& profile, std::vector<std::string> prefix = {}) {
     SimulatedSite site(folder_.path(), kSpeed);
     set_clock(site);
     write_surveyed(site);
@@ -56,7 +56,7 @@ class Ros2Settings : public Ros2Networks, public testing::WithParamInterface<Set
 };
 
 TEST_P(Ros2Settings, GromadAndPeerHearEachOther) {
-  drive_with(GetParam().profile, {});
+  drive_with(GetParam().profile);
 }
 
 INSTANTIATE_TEST_SUITE_P(All, Ros2Settings,
