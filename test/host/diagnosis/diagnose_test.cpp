@@ -216,6 +216,39 @@ TEST(Diagnose, ACircleAtConstantSpeedShowsTheScaleAndNoClock) {
   }
 }
 
+// As those of a lidar: a large part of the motion in a second, but not in two.
+TEST(Diagnose, WhiteNoiseOfThePosesIsNoContradiction) {
+  for (const std::uint64_t seed : {1U, 2U, 3U}) {
+    test::Random random(seed);
+    Data data = small_drive(seed);
+    for (model::PoseSample& pose : data.poses) {
+      pose.x_m += 0.05 * random.gaussian();
+      pose.y_m += 0.05 * random.gaussian();
+      pose.yaw_rad += 0.006 * random.gaussian();
+    }
+    EXPECT_THAT(causes_of(diagnose(std::move(data))), testing::IsEmpty()) << "seed " << seed;
+  }
+}
+
+// On a straight drive the yaw rates of poses and odometry are both noise, whose ratio may be that of a unit.
+TEST(Diagnose, AStraightDriveShowsNoYawRate) {
+  constexpr double kSpeed_mps = 0.5;
+  for (std::uint64_t seed = 1; seed <= 8; ++seed) {
+    test::Random random(seed);
+    Data data;
+    for (double t_s = 0.0; t_s < 30.0; t_s += 0.05) {
+      data.poses.push_back({.t_s = t_s,
+                            .x_m = kSpeed_mps * t_s + 0.005 * random.gaussian(),
+                            .y_m = 0.005 * random.gaussian(),
+                            .z_m = 0.0,
+                            .yaw_rad = 0.001 * random.gaussian()});
+      data.odometry.push_back({t_s, kSpeed_mps + 0.02 * random.gaussian(), 0.02 * random.gaussian(),
+                               0.02 * random.gaussian()});
+    }
+    EXPECT_THAT(causes_of(diagnose(std::move(data))), testing::IsEmpty()) << "seed " << seed;
+  }
+}
+
 TEST(Diagnose, OfNothingNamesNothing) {
   Data data = small_drive(6);
   data.poses.clear();
