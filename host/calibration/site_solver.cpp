@@ -75,6 +75,11 @@ constexpr int kIterations = 6;
 constexpr double kCloseExcess = 10.0;
 // If the fit moved by more than this, the test is repeated with all ranges. By hand.
 constexpr double kRefitMove_m = 0.3;
+// Two sides whose ranges differ by less than this (rms) cannot be told apart, however many ranges there are:
+// the range model is not so exact. Less than a unit of DW1000 timestamps, 4.7 mm. Wrong sides of a low tag on
+// a floor with bumps of 6 mm differ by 0.3 to 2 mm (simulated), those of tags at different heights by 16 mm
+// or more.
+constexpr double kIndistinct_m = 0.003;
 // Largest cost of being away from the earlier place, as anchors do get moved: by hand, 10 nats.
 // Update.ByAWeakDriveIsBetterThanEitherAloneOverManyDrives holds with it.
 constexpr double kMovedCost = 10.0;
@@ -396,6 +401,15 @@ AnchorFit search(const AnchorProblem& problem) {
   return best;
 }
 
+// Root mean square of the difference of the ranges that two solutions predict.
+double difference_m(const AnchorProblem& problem, const AnchorVector& one, const AnchorVector& other) {
+  double sum_m2 = 0.0;
+  for (const Observation& row : problem.rows)
+    sum_m2 +=
+        model::square(residual_m(row, one, problem.tag_count) - residual_m(row, other, problem.tag_count));
+  return std::sqrt(sum_m2 / static_cast<double>(problem.rows.size()));
+}
+
 MirrorHypothesis test_mirror(AnchorFit& fit, const TagSpread& spread, int axis) {
   AnchorProblem sketch = fit.problem;
   const std::vector<Observation> few = spread_along_the_way(sketch.rows, sketch.tag_count, kRowsPerTag);
@@ -420,7 +434,8 @@ MirrorHypothesis test_mirror(AnchorFit& fit, const TagSpread& spread, int axis) 
   const double perfect = of_perfect.cost();
   MirrorHypothesis mirror;
   mirror.anchor = result.there.anchor;
-  mirror.cost_excess = scale * std::max(0.0, result.there.cost - result.here.cost);
+  if (difference_m(sketch, result.here.anchor, result.there.anchor) > kIndistinct_m)
+    mirror.cost_excess = scale * std::max(0.0, result.there.cost - result.here.cost);
   mirror.cost_ratio =
       std::clamp((result.here.cost - perfect) / std::max(result.there.cost - perfect, 1e-9), 0.0, 1.0);
   return mirror;

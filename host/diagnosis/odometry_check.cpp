@@ -400,11 +400,11 @@ std::pair<double, double> motion_of(const Comparison& comparison) {
   return {none.turn_scale_rad, none.move_scale_m};
 }
 
-// Whether the odometry's turns explain the poses' better than no turns do. Those of a straight drive are noise,
-// and any ratio of two noises fits.
+// Whether the odometry's turns explain the poses' better than no turns do. Those of a straight drive are
+// noise, and any ratio of two noises fits.
 bool shows_turns(const Comparison& comparison, const Estimate& best) {
-  // In sigmas of the slices' gains. By hand: 16 straight drives (simulated) have up to 1.9, each drive with a turn
-  // 5.9 or more.
+  // In sigmas of the slices' gains. By hand: 16 straight drives (simulated) have up to 1.9, each drive with a
+  // turn 5.9 or more.
   constexpr double kShown = 3.0;
   constexpr double kNoTurns = 1e9;
   Estimate without = best;
@@ -430,12 +430,12 @@ std::optional<Finding> contradiction(const Data& data, Flips flips, Estimate bes
   const bool turns_fit = turns_rad < kLeastMotion_rad || best.turn_scale_rad < kMostTurnLeft * turns_rad;
   const bool clock_fits = std::abs(best.at(kDrift)) < kMostDrift;
   if (best.move_scale_m < kMostMoveLeft * moves_m && turns_fit && clock_fits) return std::nullopt;
-  return Finding{.cause = "poses-contradict-odometry",
-                 .evidence =
-                     fmt::format("poses and odometry differ by {:.2f} m and {:.2f} rad in {:.0f} s, of {:.2f} m "
-                                 "and {:.2f} rad moved, whatever clock, heading and scale are assumed",
-                                 best.move_scale_m, best.turn_scale_rad, kLonger_s, moves_m, turns_rad),
-                 .remedy = "check that both are of one drive and one robot, and that the poses do not jump"};
+  return Finding{
+      .cause = "poses-contradict-odometry",
+      .evidence = fmt::format("poses and odometry differ by {:.2f} m and {:.2f} rad in {:.0f} s, of {:.2f} m "
+                              "and {:.2f} rad moved, whatever clock, heading and scale are assumed",
+                              best.move_scale_m, best.turn_scale_rad, kLonger_s, moves_m, turns_rad),
+      .remedy = "check that both are of one drive and one robot, and that the poses do not jump"};
 }
 
 class Naming {

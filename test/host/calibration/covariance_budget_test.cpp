@@ -68,6 +68,26 @@ TEST_F(CovarianceBudget, TheOtherSideCountsWithItsProbability) {
   EXPECT_LT(added.norm(), 1e-9);
 }
 
+// What a wrong height does to the ranges, the biases make up for; not where x and y are weak.
+TEST_F(CovarianceBudget, TheBiasesFollowTheHeightOfTheOtherSide) {
+  solved_(2, 3) = solved_(3, 2) = -0.8e-2;
+  solved_(0, 3) = solved_(3, 0) = 0.3e-2;
+  for (const double weak_m2 : {0.0, 0.2}) {
+    solved_(0, 0) = 1e-2 + weak_m2;
+    site_.evidence[0].mirror.reset();
+    const Eigen::MatrixXd before = budget();
+    MirrorHypothesis mirror{.anchor = site_.fits[0].anchor, .cost_excess = 0.0};
+    mirror.anchor(2) = -1.0;
+    site_.evidence[0].mirror = mirror;
+    const Eigen::MatrixXd added = budget() - before;
+    // Half of 3 m squared, by d beta / d z = -0.8.
+    EXPECT_NEAR(added(2, 2), 4.5, 1e-9);
+    EXPECT_NEAR(added(2, 3), weak_m2 > 0.0 ? 0.0 : -0.8 * 4.5, 0.05);
+    EXPECT_NEAR(added(3, 3), weak_m2 > 0.0 ? 0.0 : 0.64 * 4.5, 0.05);
+    EXPECT_NEAR(added.topLeftCorner(2, 5).norm(), 0.0, 1e-9);
+  }
+}
+
 // Ranges that contradict each other make the biases uncertain, and leave the survey's covariance.
 TEST_F(CovarianceBudget, ASurveyedPositionKeepsItsCovariance) {
   site_.evidence[0].los_states =

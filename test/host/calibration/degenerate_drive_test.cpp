@@ -80,6 +80,33 @@ TEST(DegenerateDrive, WithOneTagMarksHeights) {
   }
 }
 
+// Bumps of millimetres are in the poses, but errors of ranges that depend on the place are far larger.
+// However many ranges there are, they do not tell above from below.
+TEST(DegenerateDrive, WithOneTagOnAFloorWithBumpsOfMillimetresMarksHeights) {
+  constexpr double kBump_m = 0.006;
+  for (const std::uint64_t seed : {1U, 2U, 3U}) {
+    const test::SiteSettings settings{.ranges_per_pair = 3000, .sigma_m = 0.02};
+    test::SimulatedSite site = with_path(test::simulate_site(settings, seed), [](double t_s) {
+      model::PoseSample pose = test::true_pose(t_s, test::Route::kWaves);
+      pose.z_m = kBump_m * std::sin(1.1 * pose.x_m) * std::cos(0.9 * pose.y_m);
+      return pose;
+    });
+    test::Random random(seed);
+    std::vector<test::PlaceError> errors;
+    for (std::size_t a = 0; a < site.anchors.size(); ++a) errors.emplace_back(0.01, random);
+    for (model::RangeSample& range : site.ranges) {
+      const Eigen::Vector2d place_m = test::place_on(test::Route::kWaves, range.t_s);
+      range.range_m += errors[range.anchor_id - site.anchors.front().id].at(place_m);
+    }
+    Drive drive = site.drive();
+    drive.tags = drive.tags.last(1);
+    const Result result = calibrate(drive);
+    expect_no_lie(result, site);
+    for (const model::AnchorCalibration& anchor : result.calibration.anchors)
+      EXPECT_NE(anchor.verdict, AnchorVerdict::kOk) << anchor.id;
+  }
+}
+
 TEST(DegenerateDrive, WithoutPosesRangesTagsOrAnything) {
   const test::SimulatedSite site = test::simulate_site({}, 4);
   Drive no_poses = site.drive();

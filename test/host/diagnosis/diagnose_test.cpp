@@ -242,8 +242,8 @@ TEST(Diagnose, AStraightDriveShowsNoYawRate) {
                             .y_m = 0.005 * random.gaussian(),
                             .z_m = 0.0,
                             .yaw_rad = 0.001 * random.gaussian()});
-      data.odometry.push_back({t_s, kSpeed_mps + 0.02 * random.gaussian(), 0.02 * random.gaussian(),
-                               0.02 * random.gaussian()});
+      data.odometry.push_back(
+          {t_s, kSpeed_mps + 0.02 * random.gaussian(), 0.02 * random.gaussian(), 0.02 * random.gaussian()});
     }
     EXPECT_THAT(causes_of(diagnose(std::move(data))), testing::IsEmpty()) << "seed " << seed;
   }
