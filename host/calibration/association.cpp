@@ -197,6 +197,39 @@ Association associate(const Drive& drive, HeightSource height) {
   return out;
 }
 
+std::vector<Observation> spread_along_the_way(std::span<const Observation> rows, std::size_t tag_count,
+                                              std::size_t max_rows_per_tag) {
+  struct Way {
+    std::size_t rows = 0;
+    double length_m = 0.0;
+    const Observation* last = nullptr;
+    double walked_m = 0.0;  // so far; spent_m of it by the observations taken
+    double spent_m = 0.0;
+  };
+  std::vector<Way> ways(tag_count);
+  // Adds a millimetre per observation, so that a stationary robot has a path too.
+  const auto step_to = [](const Observation& row, Way& way) {
+    const Observation* last = std::exchange(way.last, &row);
+    return 1e-3 + (last != nullptr ? (row.tag_m - last->tag_m).norm() : 0.0);
+  };
+  for (const Observation& row : rows) {
+    ++ways[row.tag].rows;
+    ways[row.tag].length_m += step_to(row, ways[row.tag]);
+  }
+  for (Way& way : ways) way.last = nullptr;
+  std::vector<Observation> out;
+  out.reserve(std::min(rows.size(), tag_count * max_rows_per_tag));
+  for (const Observation& row : rows) {
+    Way& way = ways[row.tag];
+    way.walked_m += step_to(row, way);
+    const double step_m = way.length_m / static_cast<double>(max_rows_per_tag);
+    if (way.rows > max_rows_per_tag && way.walked_m < way.spent_m + step_m) continue;
+    way.spent_m = std::max(way.spent_m + step_m, way.walked_m - step_m);
+    out.push_back(row);
+  }
+  return out;
+}
+
 double height_disagreement_m(const Drive& drive) noexcept {
   if (drive.surface == nullptr) return 0.0;
   double square_m2 = 0.0;

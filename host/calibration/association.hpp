@@ -3,6 +3,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <span>
 #include <vector>
 
 #include <Eigen/Core>
@@ -59,6 +60,12 @@ enum class HeightSource { kPose, kSurface };
                                                 HeightSource height = HeightSource::kPose) noexcept;
 
 [[nodiscard]] Association associate(const Drive& drive, HeightSource height);
+
+// At most max_rows_per_tag observations of each tag, spread evenly along the tag's path: a long stop counts
+// no more than a short one.
+[[nodiscard]] std::vector<Observation> spread_along_the_way(std::span<const Observation> rows,
+                                                            std::size_t tag_count,
+                                                            std::size_t max_rows_per_tag);
 
 // Root mean square of pose height minus surface height, m; zero without poses or surface.
 [[nodiscard]] double height_disagreement_m(const Drive& drive) noexcept;

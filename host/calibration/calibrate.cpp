@@ -9,6 +9,7 @@
 #include "host/calibration/anchor_links.hpp"
 #include "host/calibration/comparison.hpp"
 #include "host/calibration/covariance_budget.hpp"
+#include "host/calibration/range_noise.hpp"
 #include "host/calibration/site.hpp"
 #include "host/calibration/uncertainty.hpp"
 #include "host/model/ablation.hpp"

@@ -4,6 +4,7 @@
 #include <array>
 #include <cmath>
 
+#include "host/calibration/mirror.hpp"
 #include "host/calibration/robust_kernel.hpp"
 #include "host/model/ablation.hpp"
 

@@ -10,6 +10,7 @@
 
 #include <Eigen/Cholesky>
 
+#include "host/calibration/mirror.hpp"
 #include "host/calibration/uncertainty.hpp"
 
 namespace groma::calibration {

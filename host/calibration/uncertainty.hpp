@@ -10,8 +10,7 @@
 
 #include <Eigen/Core>
 
-#include "host/calibration/site_solver.hpp"
-#include "host/model/calibration.hpp"
+#include "host/calibration/anchor_solver.hpp"
 
 namespace groma::calibration {
 
@@ -67,9 +66,5 @@ struct Evidence {
 // RowAt.
 [[nodiscard]] double prediction_sigma_m(const PairRow& j, std::size_t tag,
                                         const Eigen::MatrixXd& covariance) noexcept;
-
-// White noise and Gauss-Markov bias of the ranges, from the residuals of every pair at the solution. Medians
-// over pairs keep a few NLOS anchors from biasing them. None if fewer than three pairs have enough ranges.
-[[nodiscard]] std::optional<model::RangeNoise> range_noise(std::span<const AnchorFit> fits);
 
 }  // namespace groma::calibration

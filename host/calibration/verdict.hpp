@@ -9,7 +9,7 @@
 #include <Eigen/Core>
 
 #include "host/calibration/los_chain.hpp"
-#include "host/calibration/site_solver.hpp"
+#include "host/calibration/mirror.hpp"
 #include "host/model/calibration.hpp"
 
 namespace groma::calibration {

@@ -6,6 +6,7 @@
 #include <numbers>
 #include <vector>
 
+#include "host/calibration/mirror.hpp"
 #include "host/calibration/site_solver.hpp"
 #include "test/host/calibration/exact_kernel.hpp"
 #include "test/support/numerical_jacobian.hpp"

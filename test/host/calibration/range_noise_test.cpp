@@ -1,10 +1,11 @@
+#include "host/calibration/range_noise.hpp"
+
 #include <gtest/gtest.h>
 
 #include <cmath>
 #include <cstdint>
 #include <vector>
 
-#include "host/calibration/uncertainty.hpp"
 #include "test/support/random.hpp"
 
 namespace groma::calibration {

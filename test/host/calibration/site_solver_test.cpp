@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "host/calibration/los_solver.hpp"
+#include "host/calibration/mirror.hpp"
 #include "test/host/calibration/site_simulation.hpp"
 
 namespace groma::calibration {
