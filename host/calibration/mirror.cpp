@@ -20,7 +20,7 @@ constexpr int kIterations = 6;
 constexpr double kCloseExcess = 10.0;
 // If the fit moved by more than this, the test is repeated with all ranges. By hand.
 constexpr double kRefitMove_m = 0.3;
-// Two sides whose ranges differ by less than this (rms) cannot be told apart, however many ranges there are:
+// Ranges that differ by less than this (rms) do not distinguish two sides, however many ranges there are:
 // the range model is not so exact. Less than a unit of DW1000 timestamps, 4.7 mm. Wrong sides of a low tag on
 // a floor with bumps of 6 mm differ by 0.3 to 2 mm (simulated), those of tags at different heights by 16 mm
 // or more.

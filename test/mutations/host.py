@@ -446,7 +446,7 @@ MUTATIONS = [
      "return height_above(spread, axis, solution.anchor) * height_m > 0.0;",
      "return height_above(spread, axis, solution.anchor) * height_m < 0.0;",
      "calibration_test:Calibrate.ReportsPairsHeldOutScoreAndVerdict"),
-    ("mirror: a millimetre tells above from below", "host/calibration/mirror.cpp",
+    ("mirror: a millimetre decides between above and below", "host/calibration/mirror.cpp",
      "constexpr double kIndistinct_m = 0.003;",
      "constexpr double kIndistinct_m = 0.0;",
      "calibration_test:DegenerateDrive.WithOneTagOnAFloorWithBumpsOfMillimetresMarksHeights"),
