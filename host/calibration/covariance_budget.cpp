@@ -7,7 +7,6 @@
 #include <utility>
 
 #include <Eigen/Cholesky>
-#include <Eigen/Eigenvalues>
 
 #include "host/calibration/uncertainty.hpp"
 #include "host/model/ablation.hpp"
@@ -67,10 +66,6 @@ struct Anchor {
     return out;
   }
 };
-// The larger variance of x and y, along the axes of their ellipse.
-double largest_in_plane_m2(const Eigen::Matrix3d& covariance_m2) {
-  return covariance_m2.topLeftCorner<2, 2>().selfadjointView<Eigen::Lower>().eigenvalues()(1);
-}
 // Empty where the term does not apply.
 using Adds = Eigen::MatrixXd;
 
@@ -163,7 +158,7 @@ Adds across_plane(const Anchor& anchor) {
   const Eigen::Matrix3d moment_m2 =
       mirror_covariance(*anchor.known.mirror, anchor.fit, anchor.known.inflation);
   const Eigen::Matrix3d position_m2 = anchor.so_far.topLeftCorner<3, 3>();
-  if (largest_in_plane_m2(position_m2) > square(kWeakSigma_m)) return anchor.of_position(moment_m2);
+  if (horizontal_sigma_m(position_m2) > kWeakSigma_m) return anchor.of_position(moment_m2);
   const Eigen::MatrixXd response = position_m2.ldlt().solve(anchor.so_far.topRows<3>()).transpose();
   Adds out = response * moment_m2 * response.transpose();
   if (!out.allFinite()) return anchor.of_position(moment_m2);

@@ -192,8 +192,7 @@ std::optional<Opinion> judge_ranges(const AnchorEvidence& evidence, const model:
 Opinion judge_position(const AnchorEvidence& evidence, const model::AnchorCalibration& anchor) {
   const Eigen::Matrix3d covariance = anchor.covariance.topLeftCorner<3, 3>();
   const double by_distance_m = kWeakSigmaShare * evidence.nearest_m;
-  const double sigma_xy_m = std::sqrt(
-      std::max(0.0, covariance.topLeftCorner<2, 2>().selfadjointView<Eigen::Lower>().eigenvalues()(1)));
+  const double sigma_xy_m = horizontal_sigma_m(covariance);
   const double sigma_z_m = std::sqrt(std::max(0.0, covariance(2, 2)));
   const std::string advice = drive_advice(evidence, anchor.position_m);
   const double weak_sigma_m =
@@ -218,6 +217,11 @@ Opinion judge_position(const AnchorEvidence& evidence, const model::AnchorCalibr
 }
 
 }  // namespace
+
+double horizontal_sigma_m(const Eigen::Matrix3d& covariance_m2) {
+  return std::sqrt(
+      std::max(0.0, covariance_m2.topLeftCorner<2, 2>().selfadjointView<Eigen::Lower>().eigenvalues()(1)));
+}
 
 bool is_hardly_los(const AnchorEvidence& evidence) noexcept {
   return evidence.los_states && evidence.los_states->counts_missed &&

@@ -19,6 +19,8 @@ namespace groma::calibration {
 inline constexpr std::size_t kMinRanges = 30;
 // Largest horizontal sigma, m, of a position that is good enough for a filter. By hand.
 inline constexpr double kWeakSigma_m = 0.30;
+// Largest horizontal sigma of a position, along the axes of its ellipse.
+[[nodiscard]] double horizontal_sigma_m(const Eigen::Matrix3d& covariance_m2);
 
 // LOS and NLOS of one anchor, if the site was solved with NLOS states.
 struct LosEvidence {

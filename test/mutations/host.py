@@ -451,7 +451,7 @@ MUTATIONS = [
      "constexpr double kIndistinct_m = 0.0;",
      "calibration_test:DegenerateDrive.WithOneTagOnAFloorWithBumpsOfMillimetresMarksHeights"),
     ("covariance budget: biases stay where the height is on the other side", "host/calibration/covariance_budget.cpp",
-     "if (largest_in_plane_m2(position_m2) > square(kWeakSigma_m)) return anchor.of_position(moment_m2);",
+     "if (horizontal_sigma_m(position_m2) > kWeakSigma_m) return anchor.of_position(moment_m2);",
      "if (position_m2.allFinite()) return anchor.of_position(moment_m2);",
      "calibration_test:CovarianceBudget.TheBiasesFollowTheHeightOfTheOtherSide"),
     ("site solver: a contradicted start is accepted", "host/calibration/site_solver.cpp",
