@@ -41,9 +41,19 @@ TEST_F(Ros2Test, PublishesWhatThePoseStreamHas) {
   write_surveyed(site);
   Peer peer(7, "default", all_readers());
   Gromad gromad({"--config", ros2_config("{domain_id: 7}")});
+  // The middleware connects each topic on its own: the last may be seconds behind the first.
+  const auto is_silent = [&](const Peer::Endpoint& topic) { return peer.of(topic[1]).empty(); };
+  const std::vector<Peer::Endpoint> topics = all_readers();
+  const auto statuses = [&] {
+    std::string names;
+    for (const PeerMessage& message : peer.of("rt/diagnostics"))
+      names += text(decode("diagnostic_msgs/msg/DiagnosticArray", message.cdr), "status[0].name") + '\n';
+    return names;
+  };
   ASSERT_TRUE(run_with(peer, site, gromad, [&] {
     return poses("TRACKING") >= 100 && peer.of("rt/groma/pose").size() >= 100 &&
-           !peer.of("rt/groma/links").empty() && !peer.of("rt/groma/anchors").empty();
+           std::none_of(topics.begin(), topics.end(), is_silent) &&
+           statuses().find("groma: diagnosis\n") != std::string::npos;
   })) << gromad.log();
 
   std::map<std::int64_t, json> lines;  // by their time in us
@@ -73,11 +83,7 @@ TEST_F(Ros2Test, PublishesWhatThePoseStreamHas) {
   EXPECT_EQ(number(markers, "markers[1].id"), 100.0);
   const auto links = decode("visualization_msgs/msg/MarkerArray", peer.of("rt/groma/links").back().cdr);
   EXPECT_EQ(ros2::values_at(links, *ros2::FieldPath::parse("markers[0].points[].x")).size(), 12U);
-  std::string names;
-  for (const PeerMessage& message : peer.of("rt/diagnostics"))
-    names += text(decode("diagnostic_msgs/msg/DiagnosticArray", message.cdr), "status[0].name") + '\n';
-  EXPECT_THAT(names, HasSubstr("groma: localization\n"));
-  EXPECT_THAT(names, HasSubstr("groma: diagnosis\n"));
+  EXPECT_THAT(statuses(), HasSubstr("groma: localization\n"));
 
   // As rmw has it: no warning of a missing type hash.
   EXPECT_TRUE(peer.has_event("participant enclave=/;"));
