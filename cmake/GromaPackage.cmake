@@ -84,6 +84,7 @@ string(
   "libfmt9 (>= 9.1.0+ds1)"
   "libgcc-s1 (>= 3.0)"
   "liblz4-1 (>= 0.0~r127)"
+  "libmatio11 (>= 1.5.4)"
   "libserialport0"
   "libsqlite3-0 (>= 3.6.1)"
   "libssl3 (>= 3.0.0)"

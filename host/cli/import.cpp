@@ -116,7 +116,7 @@ void add_import(CLI::App& app, Action& action) {
   const auto options = std::make_shared<ImportOptions>();
   CLI::App* command = app.add_subcommand("import",
                                          "Make a data set of recordings of other programs: tables in any "
-                                         "layout, trajectories, rosbag2. What the "
+                                         "layout, trajectories, rosbag2, MAT files. What the "
                                          "inputs contain is added to the data set, if it exists.");
   command->add_option("FORMAT", options->format, "Format of the inputs")
       ->required()

@@ -83,6 +83,12 @@ Imported import_files(Format format, std::span<const std::filesystem::path> inpu
     case Format::kCsv:
       import_text(inputs, map, out);
       break;
+    case Format::kMat:
+      if (map.sources.empty())
+        throw io::DataError({inputs.front()}, "its arrays have no names of columns",
+                            "describe them in a file, and give it as --map FILE");
+      import_text(inputs, map, out);
+      break;
     case Format::kTum:
       import_tum(inputs, map, out);
       break;

@@ -86,12 +86,15 @@ bool contains(std::span<const std::string_view> words, std::string_view word) {
   return std::find(words.begin(), words.end(), word) != words.end();
 }
 
-constexpr std::array<std::string_view, 10> kSourceKeys{
-    "to", "file", "topic", "columns", "pairs", "units", "header", "separator", "rows", "definition"};
+constexpr std::array<std::string_view, 12> kSourceKeys{"to",        "file",  "topic", "array",
+                                                       "columns",   "pairs", "units", "header",
+                                                       "separator", "rows",  "order", "definition"};
 
 std::span<const std::string_view> keys_of_source(Format format) {
-  static constexpr std::array<std::string_view, 8> kText{"to",    "file",   "columns",   "pairs",
-                                                         "units", "header", "separator", "rows"};
+  static constexpr std::array<std::string_view, 9> kText{"to",     "file",      "columns", "pairs", "units",
+                                                         "header", "separator", "rows",    "order"};
+  static constexpr std::array<std::string_view, 8> kArrays{"to",    "file",  "array", "columns",
+                                                           "pairs", "units", "rows",  "order"};
   static constexpr std::array<std::string_view, 3> kTrajectory{"to", "file", "units"};
   static constexpr std::array<std::string_view, 5> kMessages{"to", "topic", "columns", "units", "definition"};
   switch (format) {
@@ -100,6 +103,8 @@ std::span<const std::string_view> keys_of_source(Format format) {
     case Format::kTum:
     case Format::kKitti:
       return kTrajectory;
+    case Format::kMat:
+      return kArrays;
     case Format::kRosbag2:
       break;
   }
@@ -161,6 +166,11 @@ Source parse_source(const YamlValue& yaml, Format format) {
   expect_used(yaml, kSourceKeys, keys_of_source(format), format);
   if (format == Format::kRosbag2) static_cast<void>(yaml.at("topic"));
   Source source;
+  if (format == Format::kMat) {
+    source.array = yaml.at("array").text();
+    source.header = Source::Header::kNone;
+    source.separator = ' ';
+  }
   source.place = yaml.place();
   for (const std::string_view key : {"file", "topic"})
     if (const auto value = yaml.find(key)) source.from = value->text();
@@ -178,6 +188,10 @@ Source parse_source(const YamlValue& yaml, Format format) {
     value->expect_keys({{"column", "equals"}});
     source.row_kind = parse_column(value->at("column"));
     source.row_kind_text = value->at("equals").text();
+  }
+  if (const auto value = yaml.find("order")) {
+    constexpr std::array<std::string_view, 2> kOrders{"file", "time"};
+    source.sort_by_time = value->one_of(kOrders) == 1;
   }
   if (const auto value = yaml.find("definition")) source.definition = value->text();
   return source;

@@ -14,9 +14,9 @@
 
 namespace groma::importer {
 
-enum class Format { kCsv, kTum, kKitti, kRosbag2 };
+enum class Format { kCsv, kTum, kKitti, kRosbag2, kMat };
 // In the order of Format.
-inline constexpr std::array<std::string_view, 4> kFormatNames{"csv", "tum", "kitti", "rosbag2"};
+inline constexpr std::array<std::string_view, 5> kFormatNames{"csv", "tum", "kitti", "rosbag2", "mat"};
 
 // A column of a source: by its name, or by its number from 1; or a constant.
 struct SourceColumn {
@@ -38,13 +38,15 @@ struct Source {
   std::map<std::string, SourceColumn, std::less<>> columns;  // by the data set's names
   std::vector<PairColumn> pairs;                             // in place of anchor_id, tag_id and range_m
   Units units;
-  // Of text files.
+  // Of text files and MAT files.
   // Names are in the first line, in a comment, nowhere; or the first line has none that can be used.
   enum class Header { kFirst, kComment, kNone, kSkip };
   Header header = Header::kFirst;
   char separator = ',';                  // ' ': any blanks
   std::optional<SourceColumn> row_kind;  // only rows that have this text there
   std::string row_kind_text;
+  bool sort_by_time = false;  // rows may be in any order
+  std::string array;          // of MAT files: its name
   // Of messages: their definition, in the syntax of .msg files; empty: from the file, or known.
   std::string definition;
   io::FilePlace place;

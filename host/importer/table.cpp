@@ -26,9 +26,16 @@ constexpr std::array kRangeColumns{ColumnType{"t_s"},
                                    ColumnType{"line_of_sight", kOptional},
                                    ColumnType{"corrections", kOptional},
                                    ColumnType{"network_time_dtu", kOptional}};
-constexpr std::array kOdometryColumns{ColumnType{"t_s"}, ColumnType{"vx_mps", true, 1},
+enum OdometryColumn : std::size_t { kVx = 1, kVy, kOmega, kDx, kDyaw, kLeft, kRight, kWheelBase };
+constexpr std::array kOdometryColumns{ColumnType{"t_s"},
+                                      ColumnType{"vx_mps", kOptional, 1},
                                       ColumnType{"vy_mps", kOptional, 1},
-                                      ColumnType{"omega_radps", true, 0, 1}};
+                                      ColumnType{"omega_radps", kOptional, 0, 1},
+                                      ColumnType{"dx_m", kOptional, 1},
+                                      ColumnType{"dyaw_rad", kOptional, 0, 1},
+                                      ColumnType{"left_mps", kOptional, 1},
+                                      ColumnType{"right_mps", kOptional, 1},
+                                      ColumnType{"wheel_base_m", kOptional, 1}};
 enum PoseColumn : std::size_t { kX = 1, kY, kZ, kYaw, kRoll, kPitch, kQx, kQw = kQx + 3, kPxx };
 constexpr std::array kPoseColumns{ColumnType{"t_s"},
                                   ColumnType{"x_m", true, 1},
@@ -108,6 +115,32 @@ std::string add_range(const Row& row, std::vector<model::RangeSample>& ranges) {
       {row[0], *tag, *anchor, row[3], row.optional(4), row.optional(5), row.optional(6), row.optional(7),
        static_cast<model::LineOfSight>(line_of_sight >= 0 && line_of_sight <= 3 ? line_of_sight : 0),
        static_cast<std::uint8_t>(corrections >= 0 && corrections <= 0xFF ? corrections : 0), row.whole(10)});
+  return {};
+}
+
+std::string add_odometry(const Row& row, std::vector<model::OdometrySample>& odometry) {
+  if (row.has(kVx) && row.has(kOmega)) {
+    odometry.push_back({row[0], row[kVx], row.has(kVy) ? row[kVy] : 0.0, row[kOmega]});
+  } else if (row.has(kLeft) && row.has(kRight) && row.has(kWheelBase)) {
+    if (!(row[kWheelBase] > 0.0)) return "wheel_base_m is not positive";
+    odometry.push_back(
+        {row[0], 0.5 * (row[kLeft] + row[kRight]), 0.0, (row[kRight] - row[kLeft]) / row[kWheelBase]});
+  } else if (row.has(kDx) && row.has(kDyaw)) {
+    // A sample holds until the next: the increment since the row before is that row's velocity. The first row
+    // has none before it, and the last keeps the velocity that it ends with.
+    model::OdometrySample sample{row[0], 0.0, 0.0, 0.0};
+    if (!odometry.empty()) {
+      const double step_s = row[0] - odometry.back().t_s;
+      if (!(step_s > 0.0))
+        return "dx_m and dyaw_rad have no time in which they happened: t_s does not increase";
+      sample.vx_mps = odometry.back().vx_mps = row[kDx] / step_s;
+      sample.omega_radps = odometry.back().omega_radps = row[kDyaw] / step_s;
+    }
+    odometry.push_back(sample);
+  } else {
+    return "the odometry has neither vx_mps and omega_radps, nor dx_m and dyaw_rad, nor left_mps, right_mps "
+           "and wheel_base_m";
+  }
   return {};
 }
 
@@ -242,7 +275,7 @@ std::string add_row(Table table, std::span<const Cell> cells, const Units& units
     if constexpr (std::is_same_v<Sample, model::RangeSample>) {
       return add_range(row, samples);
     } else if constexpr (std::is_same_v<Sample, model::OdometrySample>) {
-      samples.push_back({row[0], row[1], row.has(2) ? row[2] : 0.0, row[3]});
+      return add_odometry(row, samples);
     } else if constexpr (std::is_same_v<Sample, model::PoseSample>) {
       return add_pose(row, table == Table::kAbsolutePose, samples);
     } else if constexpr (std::is_same_v<Sample, model::YawRateSample>) {

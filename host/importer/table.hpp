@@ -43,6 +43,8 @@ struct ColumnType {
   int angle = 0;
 };
 // The first column of each table but tags and anchors is t_s. A pose also has yaw_rad, or qx, qy, qz and qw.
+// Odometry has vx_mps and omega_radps; or dx_m and dyaw_rad, the increments since the row before; or left_mps
+// and right_mps, the speeds of two wheels, and wheel_base_m between them.
 [[nodiscard]] std::span<const ColumnType> columns_of(Table table) noexcept;
 
 // SI units per unit of the source.

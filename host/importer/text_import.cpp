@@ -1,4 +1,4 @@
-// Tables as text: CSV in any layout, TUM and KITTI trajectories.
+// Tables as text: CSV in any layout, TUM and KITTI trajectories; the arrays of MAT files as such.
 #include <fmt/format.h>
 
 #include <algorithm>
@@ -13,6 +13,7 @@
 #include <Eigen/Geometry>
 
 #include "host/importer/import.hpp"
+#include "host/importer/mat_file.hpp"
 #include "host/io/csv.hpp"
 #include "host/io/error.hpp"
 #include "host/io/input_file.hpp"
@@ -249,7 +250,7 @@ void finish_table(const std::filesystem::path& path, Table table, std::size_t be
 }
 
 void import_table(const std::filesystem::path& path, const Source& source, Imported& out) {
-  const std::string text = io::read_file(path);
+  const std::string text = source.array.empty() ? io::read_file(path) : read_mat_array(path, source.array);
   TextRows rows(path, text, source);
   const std::span<const ColumnType> columns = columns_of(source.to);
   const std::vector<ColumnOrigin> origins = origins_of(rows, source);
@@ -271,6 +272,7 @@ void import_table(const std::filesystem::path& path, const Source& source, Impor
       add_pairs(rows, source, pair_columns, cells, out);
     }
   }
+  if (source.sort_by_time) sort_by_time(source.to, out.dataset);
   finish_table(path, source.to, begin, source.units, "", out);
 }
 

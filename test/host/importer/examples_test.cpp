@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "host/importer/import.hpp"
+#include "test/support/mat_bytes.hpp"
 #include "test/support/scratch_folder.hpp"
 
 namespace groma::importer {
@@ -20,6 +21,7 @@ namespace {
 struct Example {
   std::vector<std::pair<std::string, std::string>> files;  // name, content
   std::function<void(const io::Dataset&)> expect;
+  Format format = Format::kCsv;
 };
 
 void expect_range(const model::RangeSample& range, double t_s, int tag, int anchor, double range_m) {
@@ -76,6 +78,9 @@ Example labyrinth() {
           [](const io::Dataset& drive) {
             ASSERT_EQ(drive.ranges.size(), 2U);
             expect_range(drive.ranges[1], 0.13, 0, 108, 1.25);
+            ASSERT_EQ(drive.odometry.size(), 1U);
+            EXPECT_DOUBLE_EQ(drive.odometry[0].vx_mps, 0.375);
+            EXPECT_NEAR(drive.odometry[0].omega_radps, 0.05 / 0.157, 1e-12) << "a turn to the left";
           }};
 }
 
@@ -119,13 +124,22 @@ Example mcd() {
 }
 
 Example plaza() {
-  return {{{"Plaza1_TD.txt",
-            "  4.4839839999675751e+003\t  2.0000000000000000e+000\t  6.0000000000000000e+000\t  "
-            "3.6500000000000000e+001\t\n"}},
+  return {{{"Plaza1_.mat", test::mat_array("GT", {{10.0, 1.0, 2.0, 0.5}, {10.25, 1.5, 2.0, 0.75}}) +
+                               test::mat_array("DR", {{10.25, 0.5, 0.25}, {10.5, 0.25, -0.125}}) +
+                               test::mat_array("TD", {{4485.0, 2.0, 1.0, 7.0}, {4483.984, 2.0, 6.0, 36.5}}) +
+                               test::mat_array("TL", {{6.0, 22.0, 23.0}})}},
           [](const io::Dataset& drive) {
-            ASSERT_EQ(drive.ranges.size(), 1U);
+            ASSERT_EQ(drive.ranges.size(), 2U);
             expect_range(drive.ranges[0], 4483.984, 2, 6, 36.5);
-          }};
+            ASSERT_EQ(drive.odometry.size(), 2U);
+            EXPECT_EQ(drive.odometry[0].vx_mps, 1.0);
+            EXPECT_EQ(drive.odometry[0].omega_radps, -0.5);
+            ASSERT_EQ(drive.ground_truth.size(), 2U);
+            EXPECT_EQ(drive.ground_truth[1].yaw_rad, 0.75);
+            ASSERT_EQ(drive.surveyed_anchors.size(), 1U);
+            EXPECT_EQ(drive.surveyed_anchors[0].position_m, Eigen::Vector3d(22.0, 23.0, 0.0));
+          },
+          Format::kMat};
 }
 
 Example aau() {
@@ -156,8 +170,8 @@ TEST(ImportExamples, EachReadsItsPublishedLayout) {
       folder.write(name, content);
       inputs.push_back(folder / name);
     }
-    const Imported imported =
-        import_files(Format::kCsv, inputs, read_import_map(entry.path(), Format::kCsv), {});
+    const Format format = example->second.format;
+    const Imported imported = import_files(format, inputs, read_import_map(entry.path(), format), {});
     EXPECT_FALSE(imported.dataset.tags.empty());
     for (const model::RangeSample& range : imported.dataset.ranges)
       EXPECT_TRUE(std::any_of(imported.dataset.tags.begin(), imported.dataset.tags.end(),

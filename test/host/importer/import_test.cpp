@@ -18,6 +18,7 @@
 #include "host/io/dataset_writer.hpp"
 #include "host/io/error.hpp"
 #include "host/mcap/reader.hpp"
+#include "test/support/mat_bytes.hpp"
 #include "test/support/random.hpp"
 #include "test/support/scratch_folder.hpp"
 #include "test/support/small_run.hpp"
@@ -26,6 +27,7 @@ namespace groma::importer {
 namespace {
 
 using testing::AllOf;
+using testing::ElementsAre;
 using testing::HasSubstr;
 
 class Import : public testing::Test {
@@ -112,6 +114,77 @@ TEST_F(Import, ReadsDatesAndColumnsByNumber) {
                                        "    units: {time: date}\n");
   EXPECT_EQ(imported.dataset.ranges.at(0).t_s, 1660556544.75);
   EXPECT_EQ(imported.dataset.ranges.at(1).t_s, 1660556545.0);
+}
+
+// The rows of a data set hold until the next.
+TEST_F(Import, ReadsOdometryAsIncrements) {
+  folder_.write("in.csv", "t,d,turn\n1000,7,7\n1500,250,90\n1750,500,-45\n");
+  const std::string map =
+      "sources: [{to: odometry, columns: {t_s: t, dx_m: d, dyaw_rad: turn}, units: {time: ms, length: mm, "
+      "angle: "
+      "deg}}]\n";
+  const std::vector<model::OdometrySample> rows = import(Format::kCsv, {"in.csv"}, map).dataset.odometry;
+  ASSERT_EQ(rows.size(), 3U);
+  EXPECT_EQ(rows[0].t_s, 1.0);
+  EXPECT_EQ(rows[0].vx_mps, 0.5);
+  EXPECT_DOUBLE_EQ(rows[0].omega_radps, std::numbers::pi);
+  EXPECT_EQ(rows[1].vx_mps, 2.0);
+  EXPECT_DOUBLE_EQ(rows[1].omega_radps, -std::numbers::pi);
+  EXPECT_EQ(rows[2].vx_mps, rows[1].vx_mps);
+  folder_.write("in.csv", "t,d,turn\n1000,0,0\n1000,250,0\n");
+  EXPECT_THAT(problem(Format::kCsv, {"in.csv"}, map),
+              HasSubstr("in.csv:3: dx_m and dyaw_rad have no time in which they happened"));
+}
+
+TEST_F(Import, ReadsOdometryAsSpeedsOfTwoWheels) {
+  folder_.write("in.csv", "t_s,left_mps,right_mps\n1,0.5,1\n");
+  const auto map = [](double base_m) {
+    return fmt::format("sources: [{{to: odometry, columns: {{wheel_base_m: {{value: {}}}}}}}]\n", base_m);
+  };
+  const std::vector<model::OdometrySample> rows =
+      import(Format::kCsv, {"in.csv"}, map(0.25)).dataset.odometry;
+  ASSERT_EQ(rows.size(), 1U);
+  EXPECT_EQ(rows[0].vx_mps, 0.75);
+  EXPECT_EQ(rows[0].omega_radps, 2.0) << "to the left";
+  EXPECT_THAT(problem(Format::kCsv, {"in.csv"}, map(0.0)), HasSubstr("wheel_base_m is not positive"));
+  EXPECT_THAT(problem(Format::kCsv, {"in.csv"}, "sources: [{to: odometry}]\n"),
+              HasSubstr("nor left_mps, right_mps and wheel_base_m"));
+}
+
+TEST_F(Import, SortsRowsOfAnyOrder) {
+  folder_.write("in.csv", "t_s,vx_mps,omega_radps\n3,3,0\n1,1,0\n2,2,0\n");
+  const Imported imported = import(Format::kCsv, {"in.csv"}, "sources: [{to: odometry, order: time}]\n");
+  std::vector<double> speeds_mps;
+  for (const model::OdometrySample& sample : imported.dataset.odometry) speeds_mps.push_back(sample.vx_mps);
+  EXPECT_THAT(speeds_mps, ElementsAre(1.0, 2.0, 3.0));
+}
+
+TEST_F(Import, ReadsArraysOfMatFiles) {
+  const std::string array = test::mat_array("speed", {{1.0, 0.1, 0.25}, {1.0 + 1e-15, 1e300, -0.5}});
+  folder_.write("in.mat", test::mat_array("other", {{1.0}}) + array);
+  const auto map = [](const std::string& name) {
+    return "sources: [{to: odometry, array: " + name + ", columns: {t_s: 1, vx_mps: 2, omega_radps: 3}}]\n";
+  };
+  const std::vector<model::OdometrySample> rows =
+      import(Format::kMat, {"in.mat"}, map("speed")).dataset.odometry;
+  ASSERT_EQ(rows.size(), 2U);
+  EXPECT_EQ(rows[0].vx_mps, 0.1);
+  EXPECT_EQ(rows[1].t_s, 1.0 + 1e-15);
+  EXPECT_EQ(rows[1].vx_mps, 1e300);
+  EXPECT_EQ(rows[1].omega_radps, -0.5);
+
+  EXPECT_THAT(problem(Format::kMat, {"in.mat"}, map("speeds")),
+              AllOf(HasSubstr("in.mat: has no array speeds"), HasSubstr("its arrays are other, speed")));
+  EXPECT_THAT(problem(Format::kMat, {"in.mat"}, map("other")),
+              HasSubstr("in.mat:1: the row has 1 fields, and column 2 is needed"));
+  EXPECT_THAT(problem(Format::kMat, {"in.mat"}), HasSubstr("give it as --map FILE"));
+  EXPECT_THAT(problem(Format::kMat, {"in.mat"}, "sources: [{to: odometry}]\n"),
+              HasSubstr("lacks the key array"));
+  folder_.write("in.mat", test::mat_array("other", {{1.0}}) + array.substr(0, array.size() - 5));
+  EXPECT_THAT(problem(Format::kMat, {"in.mat"}, map("speed")), HasSubstr("in.mat: "));
+  folder_.write("in.mat", "t_s,vx_mps\n");
+  EXPECT_THAT(problem(Format::kMat, {"in.mat"}, map("speed")), HasSubstr("is no MAT file"));
+  EXPECT_THAT(problem(Format::kMat, {"none.mat"}, map("speed")), HasSubstr("none.mat"));
 }
 
 TEST_F(Import, AddsToADataSet) {
@@ -274,7 +347,9 @@ TEST_F(Import, SaysWhereWhatAndWhy) {
   EXPECT_THAT(csv("a,b\n1,2\n", ""), HasSubstr("its columns a, b are not those of a data set"));
   EXPECT_THAT(csv("a,b\n1,2\n", "{to: ranges, columns: {t_s: time}}"),
               AllOf(HasSubstr("in.csv:1: column time is missing"), HasSubstr("the header has a, b")));
-  EXPECT_THAT(csv("t_s,b\n1,2\n", "{to: odometry}"), HasSubstr("nothing gives vx_mps of odometry.csv"));
+  EXPECT_THAT(csv("t_s,b\n1,2\n", "{to: imu}"), HasSubstr("nothing gives omega_radps of imu.csv"));
+  EXPECT_THAT(csv("t_s,b\n1,2\n", "{to: odometry}"),
+              HasSubstr("in.csv:2: the odometry has neither vx_mps and omega_radps, nor dx_m and dyaw_rad"));
   EXPECT_THAT(csv("t_s,x_m,y_m,yaw_rad\n1,2,3,4\n1,two,3,4\n", "{to: groundtruth}"),
               HasSubstr("in.csv:3:3: 'two' is not a number"));
   EXPECT_THAT(csv("t_s,x_m,y_m,yaw_rad\n1,nan,3,4\n", "{to: groundtruth}"), HasSubstr("not a finite number"));
@@ -319,6 +394,9 @@ TEST_F(Import, AKeyThatTheFormatDoesNotUseIsAnError) {
     EXPECT_THAT(map(Format::kRosbag2, fmt::format("sources: [{{topic: /a, to: ranges, {}}}]", key)),
                 HasSubstr("is not used by groma import rosbag2"));
   EXPECT_THAT(map(Format::kCsv, "sources: [{to: odometry, definition: uint8 a}]"), HasSubstr("is not used"));
+  EXPECT_THAT(map(Format::kCsv, "sources: [{to: odometry, array: DR}]"), HasSubstr("is not used"));
+  EXPECT_THAT(map(Format::kMat, "sources: [{to: odometry, array: DR, separator: tab}]"),
+              HasSubstr("is not used by groma import mat"));
   for (const char* key : {"columns: {t_s: 1}", "header: none", "separator: tab", "units: {angle: deg}"}) {
     EXPECT_THAT(map(Format::kTum, fmt::format("sources: [{{to: groundtruth, {}}}]", key)),
                 HasSubstr("is not used by groma import tum"));
