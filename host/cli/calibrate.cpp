@@ -118,6 +118,35 @@ std::string format_update(const calibration::Update& update) {
   return text;
 }
 
+// A prior of the biases that all pairs together contradict: it pulls the anchors' positions, or with
+// --known-anchors the biases, by more than their sigmas say.
+void note_contradicted_priors(const model::Calibration& calibration, const model::RangePriors& priors) {
+  // Statistics: within the prior the rms is 1 at most; by hand: leaves room for an anchor with a bias of its
+  // own.
+  constexpr double kMostSigmas = 3.0;
+  for (const model::PairTerm& term : model::kPairTerms) {
+    const model::ScalarPrior& prior = priors.*term.prior;
+    double sum = 0.0;
+    double off = 0.0;
+    double count = 0.0;
+    for (const model::AnchorCalibration& anchor : calibration.anchors) {
+      for (const model::PairBias& pair : anchor.pairs) {
+        // The ranges of the others say less of the term than the prior does.
+        if (!(pair.*term.sigma < 0.7 * prior.sigma)) continue;
+        off += pair.*term.value - prior.mean;
+        sum += std::pow((pair.*term.value - prior.mean) / prior.sigma, 2);
+        count += 1.0;
+      }
+    }
+    const double rms = count > 0.0 ? std::sqrt(sum / count) : 0.0;
+    if (rms < kMostSigmas) continue;
+    Warnings::note(fmt::format(
+        "{0} of the pairs is {1:.1f} sigmas from its prior [{2:g}, {3:g}], on average {4:.4g}; if the prior "
+        "is too narrow for these radios, write {0}: [{2:g}, {5:g}] in dataset.yaml and calibrate again",
+        term.key.value, rms, prior.mean, prior.sigma, prior.mean + off / count, 10.0 * prior.sigma));
+  }
+}
+
 int run(const CalibrateOptions& options) {
   const auto begin = std::chrono::steady_clock::now();
   if (options.update && options.known_anchors) {
@@ -161,6 +190,7 @@ int run(const CalibrateOptions& options) {
   if (earlier) how.earlier = &*earlier;
   calibration::Result result = calibration::calibrate(drive, how);
   result.calibration.range_clock = range_clock;
+  note_contradicted_priors(result.calibration, dataset.range_priors);
   const auto unfixed = findings.begin() + (range_clock ? 1 : 0);
   const std::vector<diagnosis::Finding> left(unfixed, findings.end());
   const diagnosis::Finding* contradiction = diagnosis::find_contradiction(left);

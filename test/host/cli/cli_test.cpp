@@ -490,6 +490,20 @@ TEST_F(CliTest, KnownAnchorsKeepTheirSurveyedPositions) {
   EXPECT_EQ(calibrate({"--known-anchors"}).exit_code, 65);
 }
 
+TEST_F(CliTest, CalibrateNamesAPriorThatAllPairsContradict) {
+  EXPECT_THAT(calibrate({"--known-anchors"}).err, Not(HasSubstr("from its prior")));
+  io::Dataset data = test::make_small_run(kDrive_s, 1);
+  data.range_priors.beta_m.sigma = 0.1;
+  for (model::RangeSample& range : data.ranges) range.range_m += 0.6;
+  io::write_dataset(data_, data);
+  EXPECT_THAT(calibrate({"--known-anchors"}).err,
+              AllOf(HasSubstr("note: beta_m of the pairs is "), HasSubstr("sigmas from its prior [0.2, 0.1]"),
+                    HasSubstr("write beta_m: [0.2, 1] in dataset.yaml")));
+  data.range_priors.beta_m.sigma = 1.0;
+  io::write_dataset(data_, data);
+  EXPECT_THAT(calibrate({"--known-anchors"}).err, Not(HasSubstr("from its prior")));
+}
+
 TEST_F(CliTest, CalibrationNeverReadsAnchorsTruthOrOdometry) {
   static_cast<void>(calibrate());
   const std::string before = read_text(calibration_);
