@@ -217,6 +217,7 @@ class Program {
     expect_plausible(path, imported, begin, source_.units, out.dataset);
   }
   [[nodiscard]] Table table() const { return source_.to; }
+  [[nodiscard]] const std::optional<Eigen::Isometry3d>& base_link() const { return source_.base_link; }
 
  private:
   static constexpr std::uint64_t kNsPerS = 1'000'000'000;
@@ -391,6 +392,8 @@ void import_bags(std::span<const std::filesystem::path> inputs, const ImportMap&
   for (std::size_t i = 0; i < programs.size(); ++i) {
     const std::size_t begin = begin_table(programs[i].table(), out);
     append(programs[i].table(), parts[i], out.dataset);
+    if (programs[i].base_link())
+      move_to_base_link(programs[i].table(), begin, *programs[i].base_link(), out.dataset);
     programs[i].finish(path, begin, out);
   }
 }

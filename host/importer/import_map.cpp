@@ -86,17 +86,18 @@ bool contains(std::span<const std::string_view> words, std::string_view word) {
   return std::find(words.begin(), words.end(), word) != words.end();
 }
 
-constexpr std::array<std::string_view, 12> kSourceKeys{"to",        "file",  "topic", "array",
-                                                       "columns",   "pairs", "units", "header",
-                                                       "separator", "rows",  "order", "definition"};
+constexpr std::array<std::string_view, 13> kSourceKeys{"to",    "file",  "topic",     "array",  "columns",
+                                                       "pairs", "units", "base_link", "header", "separator",
+                                                       "rows",  "order", "definition"};
 
 std::span<const std::string_view> keys_of_source(Format format) {
-  static constexpr std::array<std::string_view, 9> kText{"to",     "file",      "columns", "pairs", "units",
-                                                         "header", "separator", "rows",    "order"};
-  static constexpr std::array<std::string_view, 8> kArrays{"to",    "file",  "array", "columns",
-                                                           "pairs", "units", "rows",  "order"};
-  static constexpr std::array<std::string_view, 3> kTrajectory{"to", "file", "units"};
-  static constexpr std::array<std::string_view, 5> kMessages{"to", "topic", "columns", "units", "definition"};
+  static constexpr std::array<std::string_view, 10> kText{
+      "to", "file", "columns", "pairs", "units", "base_link", "header", "separator", "rows", "order"};
+  static constexpr std::array<std::string_view, 9> kArrays{"to",    "file",      "array", "columns", "pairs",
+                                                           "units", "base_link", "rows",  "order"};
+  static constexpr std::array<std::string_view, 4> kTrajectory{"to", "file", "units", "base_link"};
+  static constexpr std::array<std::string_view, 6> kMessages{"to",    "topic",     "columns",
+                                                             "units", "base_link", "definition"};
   switch (format) {
     case Format::kCsv:
       return kText;
@@ -160,6 +161,18 @@ void parse_pairs(const YamlValue& yaml, Source& source) {
   for (const YamlValue& pair : yaml.list()) source.pairs.push_back(parse_pair(pair));
 }
 
+Eigen::Isometry3d parse_base_link(const YamlValue& yaml) {
+  constexpr std::array<std::string_view, 6> kKeys{"x_m", "y_m", "z_m", "roll_rad", "pitch_rad", "yaw_rad"};
+  yaml.expect_keys({{}, {kKeys.begin(), kKeys.end()}});
+  std::array<double, kKeys.size()> values{};
+  for (std::size_t i = 0; i < kKeys.size(); ++i)
+    if (const std::optional<YamlValue> value = yaml.find(kKeys[i])) values[i] = value->number();
+  return Eigen::Translation3d(values[0], values[1], values[2]) *
+         (Eigen::AngleAxisd(values[5], Eigen::Vector3d::UnitZ()) *
+          Eigen::AngleAxisd(values[4], Eigen::Vector3d::UnitY()) *
+          Eigen::AngleAxisd(values[3], Eigen::Vector3d::UnitX()));
+}
+
 Source parse_source(const YamlValue& yaml, Format format) {
   constexpr std::array<std::string_view, 4> kHeaders{"first", "comment", "none", "skip"};
   yaml.expect_keys({{"to"}, {kSourceKeys.begin() + 1, kSourceKeys.end()}});
@@ -180,6 +193,11 @@ Source parse_source(const YamlValue& yaml, Format format) {
   if (const auto value = yaml.find("units")) {
     source.units = parse_units(*value);
     expect_used_units(*value, format);
+  }
+  if (const auto value = yaml.find("base_link")) {
+    if (source.to != Table::kGroundTruth && source.to != Table::kPosePrior)
+      value->fail("is of poses", "write it only with to: groundtruth or to: pose_prior");
+    source.base_link = parse_base_link(*value);
   }
   if (const auto value = yaml.find("header"))
     source.header = static_cast<Source::Header>(value->one_of(kHeaders));

@@ -38,6 +38,7 @@ struct Source {
   std::map<std::string, SourceColumn, std::less<>> columns;  // by the data set's names
   std::vector<PairColumn> pairs;                             // in place of anchor_id, tag_id and range_m
   Units units;
+  std::optional<Eigen::Isometry3d> base_link;  // in the frame whose poses these are
   // Of text files and MAT files.
   // Names are in the first line, in a comment, nowhere; or the first line has none that can be used.
   enum class Header { kFirst, kComment, kNone, kSkip };

@@ -313,6 +313,30 @@ void sort_by_time(Table table, io::Dataset& dataset) {
   });
 }
 
+void move_to_base_link(Table table, std::size_t begin, const Eigen::Isometry3d& in_body,
+                       io::Dataset& dataset) {
+  with_samples(table, dataset, [&]<class Sample>(std::vector<Sample>& samples) {
+    if constexpr (std::is_same_v<Sample, model::PoseSample>) {
+      for (std::size_t i = begin; i < samples.size(); ++i) {
+        model::PoseSample& pose = samples[i];
+        const bool is_level = !std::isfinite(pose.roll_rad) || !std::isfinite(pose.pitch_rad);
+        const Eigen::Isometry3d body =
+            Eigen::Translation3d(pose.x_m, pose.y_m, pose.z_m) *
+            (Eigen::AngleAxisd(pose.yaw_rad, Eigen::Vector3d::UnitZ()) *
+             Eigen::AngleAxisd(is_level ? 0.0 : pose.pitch_rad, Eigen::Vector3d::UnitY()) *
+             Eigen::AngleAxisd(is_level ? 0.0 : pose.roll_rad, Eigen::Vector3d::UnitX()));
+        const Eigen::Isometry3d base_link = body * in_body;
+        const Eigen::Vector3d at_m = base_link.translation();
+        pose.x_m = at_m.x();
+        pose.y_m = at_m.y();
+        pose.z_m = at_m.z();
+        set_attitude(Eigen::Quaterniond(base_link.rotation()), pose);
+        if (is_level) pose.roll_rad = pose.pitch_rad = model::PoseSample().roll_rad;
+      }
+    }
+  });
+}
+
 void clear(Table table, io::Dataset& dataset) {
   with_samples(table, dataset, [](auto& samples) { samples.clear(); });
 }

@@ -11,6 +11,8 @@
 #include <string_view>
 #include <vector>
 
+#include <Eigen/Geometry>
+
 #include "host/io/dataset.hpp"
 
 namespace groma::importer {
@@ -81,6 +83,11 @@ struct Cell {
 
 // Rows of one time keep their order. Tags and anchors stay as they are.
 void sort_by_time(Table table, io::Dataset& dataset);
+
+// The poses of the table from row `begin` on are of another frame of the robot; base_link has the pose
+// `in_body` in it. Makes them those of base_link. Roll and pitch that are not known stay so.
+void move_to_base_link(Table table, std::size_t begin, const Eigen::Isometry3d& in_body,
+                       io::Dataset& dataset);
 
 // Empties the table.
 void clear(Table table, io::Dataset& dataset);

@@ -58,14 +58,18 @@ std::string joined(const Fields& names) {
   return names.size() > kMostNames ? text + ", ..." : text;
 }
 
-// "2022-08-15 09:42:24.765958", with a T or a blank, in UTC: seconds since 1970. None: it is no date.
+// "2022-08-15 9:42:24.765958", with a T or a blank, in UTC: seconds since 1970. None: it is no date.
 std::optional<double> parse_date(std::string_view text) {
-  if (text.size() < 19 || text[4] != '-' || text[7] != '-' || text[13] != ':' || text[16] != ':')
-    return std::nullopt;
-  const auto number = [&](std::size_t at, std::size_t size, auto& value) {
-    const char* const begin = text.data() + at;
-    const auto [end, error] = std::from_chars(begin, begin + size, value);
-    return error == std::errc() && end == begin + size;
+  if (text.ends_with('Z')) text.remove_suffix(1);
+  // Reads a number, and one of these characters after it; none: the end.
+  const auto read = [&](auto& value, std::string_view ends) {
+    const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
+    if (error != std::errc()) return false;
+    text.remove_prefix(static_cast<std::size_t>(end - text.data()));
+    if (ends.empty() || text.empty()) return ends.empty() && text.empty();
+    const bool is_end = ends.find(text.front()) != std::string_view::npos;
+    text.remove_prefix(1);
+    return is_end;
   };
   int year = 0;
   unsigned month = 0;
@@ -73,9 +77,8 @@ std::optional<double> parse_date(std::string_view text) {
   int hours = 0;
   int minutes = 0;
   double seconds = 0.0;
-  const std::size_t end = text.ends_with('Z') ? text.size() - 1 : text.size();
-  if (!number(0, 4, year) || !number(5, 2, month) || !number(8, 2, day) || !number(11, 2, hours) ||
-      !number(14, 2, minutes) || !number(17, end - 17, seconds))
+  if (!read(year, "-") || !read(month, "-") || !read(day, "T ") || !read(hours, ":") || !read(minutes, ":") ||
+      !read(seconds, ""))
     return std::nullopt;
   const std::chrono::year_month_day date{std::chrono::year(year), std::chrono::month(month),
                                          std::chrono::day(day)};
@@ -272,6 +275,7 @@ void import_table(const std::filesystem::path& path, const Source& source, Impor
       add_pairs(rows, source, pair_columns, cells, out);
     }
   }
+  if (source.base_link) move_to_base_link(source.to, begin, *source.base_link, out.dataset);
   if (source.sort_by_time) sort_by_time(source.to, out.dataset);
   finish_table(path, source.to, begin, source.units, "", out);
 }
@@ -430,6 +434,7 @@ void import_kitti(std::span<const std::filesystem::path> inputs, const ImportMap
     for (std::size_t k = 0; k < values.size(); ++k) cells[kColumns[k]] = cell(values[k]);
     static_cast<void>(add_row(source.to, cells, units, out.dataset));
   }
+  if (source.base_link) move_to_base_link(source.to, begin, *source.base_link, out.dataset);
   finish_table(path, source.to, begin, source.units,
                is_camera ? "axes of a camera: z forward, x right" : "axes of a robot: x forward, z up", out);
 }

@@ -8,6 +8,7 @@
 #include <filesystem>
 #include <functional>
 #include <map>
+#include <numbers>
 #include <string>
 #include <vector>
 
@@ -87,23 +88,28 @@ Example labyrinth() {
 Example lias() {
   std::string ranges;
   for (int row = 0; row < 2; ++row) {
-    ranges += fmt::format("52891{}5,2022-08-15 09:42:24.{}5,", row, row);
+    ranges += fmt::format("2022-08-15 9:42:24.{}5,", row);
     for (int i = 0; i < 24; ++i) ranges += fmt::format("{:.2f},", 1.0 + 0.01 * i + row);
     ranges += '\n';
   }
-  return {{{"UWB_dynamic_exp_8_15_fast.csv", ranges},
-           {"motion_capture_dynamic_exp_8_15_fast.csv",
-            "time,x,y,z,rotation\n"
-            "2022-08-15 09:42:24.500000,1.5,0.96,0.25,0,0.6,0,0.8\n"}},
+  // The body has z down, and is turned by 2 degrees about it.
+  constexpr double kDegree = std::numbers::pi / 180.0;
+  const std::string pose =
+      fmt::format("0.25,1.5,0.96,0,{:.12f},{:.12f},0", std::cos(kDegree), std::sin(kDegree));
+  return {{{"UWB_dynamic_exp_fast.csv", ranges},
+           {"motion_capture_dynamic_exp_fast.csv",
+            "time,x,y,z,rotation,,,\n2022-08-15 9:42:24.500," + pose + "\n"}},
           [](const io::Dataset& drive) {
             ASSERT_EQ(drive.ranges.size(), 48U);
             expect_range(drive.ranges[0], 1660556544.05, 0, 0, 1.0);
             expect_range(drive.ranges[5], 1660556544.05, 2, 1, 1.05);
             expect_range(drive.ranges[47], 1660556544.15, 2, 7, 2.23);
             ASSERT_EQ(drive.ground_truth.size(), 1U);
-            const model::PoseSample& pose = drive.ground_truth[0];
-            EXPECT_EQ(Eigen::Vector3d(pose.x_m, pose.y_m, pose.z_m), Eigen::Vector3d(0.25, 1.5, 0.96));
-            EXPECT_NEAR(pose.yaw_rad, kYaw_rad, 1e-12) << "a turn about y is one about up";
+            const model::PoseSample& truth = drive.ground_truth[0];
+            EXPECT_EQ(Eigen::Vector3d(truth.x_m, truth.y_m, truth.z_m), Eigen::Vector3d(0.25, 1.5, 0.96));
+            EXPECT_NEAR(truth.yaw_rad, 9.0 * kDegree, 1e-5);
+            EXPECT_NEAR(truth.roll_rad, 0.0, 1e-5);
+            EXPECT_NEAR(truth.pitch_rad, 0.0, 1e-5);
           }};
 }
 

@@ -187,6 +187,30 @@ TEST_F(Import, ReadsArraysOfMatFiles) {
   EXPECT_THAT(problem(Format::kMat, {"none.mat"}, map("speed")), HasSubstr("none.mat"));
 }
 
+// A camera 1 m ahead of base_link and 0.5 m above it, looking to the left.
+TEST_F(Import, MakesPosesOfAnotherFrameThoseOfBaseLink) {
+  folder_.write("in.csv", "t_s,x_m,y_m,z_m,yaw_rad\n1,10,20,0.5,1.5707963267948966\n");
+  const std::string base_link = "base_link: {x_m: 0, y_m: 1, z_m: -0.5, yaw_rad: -1.5707963267948966}";
+  const model::PoseSample pose =
+      import(Format::kCsv, {"in.csv"}, "sources: [{to: pose_prior, " + base_link + "}]\n")
+          .dataset.pose_prior.at(0);
+  EXPECT_NEAR(pose.x_m, 9.0, 1e-12);
+  EXPECT_NEAR(pose.y_m, 20.0, 1e-12);
+  EXPECT_NEAR(pose.z_m, 0.0, 1e-12);
+  EXPECT_NEAR(pose.yaw_rad, 0.0, 1e-12);
+  EXPECT_TRUE(std::isnan(pose.roll_rad) && std::isnan(pose.pitch_rad)) << "still not known";
+
+  folder_.write("in.tum", "1 10 20 0.5 0 0 0.7071067811865476 0.7071067811865476\n");
+  const model::PoseSample tum =
+      import(Format::kTum, {"in.tum"}, "sources: [{to: groundtruth, " + base_link + "}]\n")
+          .dataset.ground_truth.at(0);
+  EXPECT_NEAR(tum.x_m, 9.0, 1e-12);
+  EXPECT_NEAR(tum.yaw_rad, 0.0, 1e-12);
+  EXPECT_NEAR(tum.roll_rad, 0.0, 1e-12);
+  EXPECT_THAT(problem(Format::kCsv, {"in.csv"}, "sources: [{to: odometry, " + base_link + "}]\n"),
+              HasSubstr("base_link is of poses"));
+}
+
 TEST_F(Import, AddsToADataSet) {
   io::Dataset base = test::make_small_run(1.0, 1);
   folder_.write("truth.txt", "0.5 1 2 3 0 0 0.6 0.8\n");
@@ -389,7 +413,7 @@ TEST_F(Import, AKeyThatTheFormatDoesNotUseIsAnError) {
               HasSubstr("did you mean 'topic'?"));
   EXPECT_THAT(map(Format::kRosbag2, "sources: [{to: odometry}]"), HasSubstr("lacks the key topic"));
   EXPECT_THAT(map(Format::kRosbag2, "sources: [{topic: /a, to: odometry, separator: tab}]"),
-              HasSubstr("remove it; rosbag2 uses to, topic, columns, units, definition"));
+              HasSubstr("remove it; rosbag2 uses to, topic, columns, units, base_link, definition"));
   for (const char* key : {"pairs: []", "header: none", "rows: {column: 1, equals: a}"})
     EXPECT_THAT(map(Format::kRosbag2, fmt::format("sources: [{{topic: /a, to: ranges, {}}}]", key)),
                 HasSubstr("is not used by groma import rosbag2"));
