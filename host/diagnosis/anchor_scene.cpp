@@ -29,7 +29,8 @@ AnchorScene::AnchorScene(const Data& data, std::size_t most_rows) : data_(data) 
   }
   std::erase_if(pairs, [](const auto& pair) { return pair.second.size() < kMinPairRows; });
   const double begin_s = data.ranges.empty() ? 0.0 : data.ranges.front().t_s;
-  const double slice_s = data.ranges.empty() ? 0.0 : (data.ranges.back().t_s - begin_s) / kSlices;
+  const double slice_s =
+      data.ranges.empty() ? 0.0 : std::max((data.ranges.back().t_s - begin_s) / kSlices, kShortestSlice_s);
   const std::size_t most = std::max(kMinPairRows, most_rows / std::max<std::size_t>(1, pairs.size()));
   for (const auto& [ids, ranges] : pairs) {
     if (anchors_.empty() || anchors_.back() != ids.first) anchors_.push_back(ids.first);

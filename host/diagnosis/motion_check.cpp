@@ -269,6 +269,8 @@ std::vector<Finding> find_mismatch(const std::optional<Constellation>& seen) {
 
 std::vector<Finding> compare_with_calibration(Data& data, const model::Calibration& calibration) {
   if (data.odometry.size() < 2 || data.ranges.empty()) return {};
+  // It proves nothing of the data.
+  if (calibration.verdict == model::Verdict::kUnusable) return {};
   const MakeScene make_scene = [&](const Data& now, std::size_t most_rows) -> std::unique_ptr<Scene> {
     return std::make_unique<WindowScene>(now, calibration, most_rows);
   };

@@ -9,7 +9,8 @@
 namespace groma::diagnosis {
 
 // Vuong's statistic: the mean of the slices' gains in log likelihood over the other fit, in its standard
-// errors. A slice without data costs NaN.
+// errors. That of few slices is Student's t; returned is the normal deviate of the same probability
+// (Abramowitz and Stegun, 26.7.8). A slice without data costs NaN.
 [[nodiscard]] inline double gain_in_sigmas(std::span<const double> cost,
                                            std::span<const double> other) noexcept {
   double sum = 0.0;
@@ -23,8 +24,10 @@ namespace groma::diagnosis {
     count += 1.0;
   }
   if (count < 2.0) return 0.0;
-  const double variance = (squares - sum * sum / count) / (count - 1.0);
-  return sum / std::sqrt(std::max(variance * count, 1e-18));
+  const double freedom = count - 1.0;
+  const double variance = (squares - sum * sum / count) / freedom;
+  const double t = sum / std::sqrt(std::max(variance * count, 1e-18));
+  return t * (1.0 - 0.25 / freedom) / std::sqrt(1.0 + 0.5 * t * t / freedom);
 }
 
 }  // namespace groma::diagnosis

@@ -15,6 +15,8 @@ inline constexpr double kMostSigmas = 8.0;
 // Slices of the drive whose scores give the covariance of an estimate: errors within a slice may be
 // correlated in time.
 inline constexpr int kSlices = 20;
+// Of a short drive there are fewer. By hand: on recorded runs, errors of anchors and antennas last as long.
+inline constexpr double kShortestSlice_s = 10.0;
 
 // kSignificant...: the smallest error of which issue-size campaigns found that it worsens poses or anchors by
 // half. An error below a third of it changes nothing. The limit is the geometric mean of both.

@@ -60,7 +60,7 @@ WindowScene::WindowScene(const Data& data, const model::Calibration& calibration
   std::map<std::pair<model::NodeId, model::NodeId>, std::uint32_t> pairs;
   const double begin_s = data.odometry.front().t_s;
   const double duration_s = data.odometry.back().t_s - begin_s;
-  const double slice_s = duration_s / kSlices;
+  const double slice_s = std::max(duration_s / kSlices, kShortestSlice_s);
   const double length_s = window_length_s(data.odometry);
   // All ranges of some windows would fit best, but the windows have to show the whole drive.
   const double windows = std::max(1.0, std::round(duration_s / length_s));
