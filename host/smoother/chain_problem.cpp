@@ -25,14 +25,17 @@ void ChainProblem::clear() {
   }
   shared_.setZero(shared_size_, shared_size_);
   shared_right_.setZero(shared_size_);
+  cost_ = 0.0;
 }
 
 void ChainProblem::add_shared_prior(const Eigen::VectorXd& unknowns) {
   shared_.diagonal().array() += 1.0;
   shared_right_ -= unknowns;
+  cost_ += 0.5 * unknowns.squaredNorm();
 }
 
 void ChainProblem::add(std::size_t k, const Term& term) {
+  cost_ += 0.5 * term.residual.dot(term.information * term.residual);
   Block& first = blocks_[k];
   Block& second = blocks_[k + 1];
   const Eigen::MatrixXd first_weighed = term.by_first.transpose() * term.information;
@@ -60,7 +63,7 @@ void ChainProblem::add(std::size_t k, const Term& term) {
   }
 }
 
-ChainProblem::Solution ChainProblem::solve() {
+ChainProblem::Solution ChainProblem::solve(double damping) {
   Eigen::MatrixXd shared = shared_;
   Eigen::VectorXd shared_right = shared_right_;
   for (std::size_t k = 0; k < blocks_.size(); ++k) {
@@ -84,6 +87,7 @@ ChainProblem::Solution ChainProblem::solve() {
   Solution out;
   out.shared = Eigen::VectorXd::Zero(shared.rows());
   if (solved > 0) {
+    shared.diagonal().head(solved) *= 1.0 + damping;
     shared_root_.compute(shared.topLeftCorner(solved, solved));
     out.shared.head(solved) = shared_root_.solve(shared_right.head(solved));
     if (considered_ > 0)

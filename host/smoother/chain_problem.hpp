@@ -43,8 +43,12 @@ class ChainProblem {
   // Adds a term between the blocks k and k + 1; both must exist.
   void add(std::size_t k, const Term& term);
 
-  // Requires positive definite normal equations.
-  [[nodiscard]] Solution solve();
+  // Half the sum of squares of all terms and the prior, whitened.
+  [[nodiscard]] double cost() const noexcept { return cost_; }
+
+  // Requires positive definite normal equations. A Levenberg-Marquardt damping of the shared vector: its
+  // information, with the blocks eliminated, grows by this share. Once per clear().
+  [[nodiscard]] Solution solve(double damping = 0.0);
   // Marginal covariance of each block, after solve(), jointly with the components of the shared vector given
   // by `shared`, which follow the block's own rows. None of these may be considered.
   [[nodiscard]] std::vector<Eigen::MatrixXd> covariances(const std::vector<Eigen::Index>& shared = {}) const;
@@ -65,6 +69,7 @@ class ChainProblem {
   std::vector<Block> blocks_;
   Eigen::MatrixXd shared_;
   Eigen::VectorXd shared_right_;
+  double cost_ = 0.0;
   Eigen::Index block_size_;
   Eigen::Index shared_size_;
   Eigen::Index considered_;
