@@ -380,7 +380,7 @@ Estimate without_uncertain_clock(const Comparison& comparison, const Estimate& b
   const Estimate still = estimate(comparison, start, false);
   // In sigmas of the slices' gains (Vuong's test); by hand: of a clock nearby, and of the best of 600 lags.
   constexpr double kNear = 2.0;
-  constexpr double kFar = 3.6;
+  constexpr double kFar = 3.7;
   const bool is_far =
       std::abs(best.at(kClock)) + std::abs(0.5 * best.at(kDrift) * comparison.duration_s()) > kWindow_s;
   return gain_in_sigmas(best.slice_cost, still.slice_cost) < (is_far ? kFar : kNear) ? still : best;
@@ -404,7 +404,7 @@ std::pair<double, double> motion_of(const Comparison& comparison) {
 // noise, and any ratio of two noises fits.
 bool shows_turns(const Comparison& comparison, const Estimate& best) {
   // In sigmas of the slices' gains. By hand: 16 straight drives (simulated) have up to 1.8, each drive with a
-  // turn 4.2 or more.
+  // turn 4.4 or more.
   constexpr double kShown = 2.7;
   constexpr double kNoTurns = 1e9;
   Estimate without = best;

@@ -10,7 +10,7 @@ namespace groma::diagnosis {
 
 // Vuong's statistic: the mean of the slices' gains in log likelihood over the other fit, in its standard
 // errors. That of few slices is Student's t; returned is the normal deviate of the same probability
-// (Abramowitz and Stegun, 26.7.8). A slice without data costs NaN.
+// (Wallace, 1959, within 0.02). A slice without data costs NaN.
 [[nodiscard]] inline double gain_in_sigmas(std::span<const double> cost,
                                            std::span<const double> other) noexcept {
   double sum = 0.0;
@@ -27,7 +27,9 @@ namespace groma::diagnosis {
   const double freedom = count - 1.0;
   const double variance = (squares - sum * sum / count) / freedom;
   const double t = sum / std::sqrt(std::max(variance * count, 1e-18));
-  return t * (1.0 - 0.25 / freedom) / std::sqrt(1.0 + 0.5 * t * t / freedom);
+  const double normal =
+      (8.0 * freedom + 1.0) / (8.0 * freedom + 3.0) * std::sqrt(freedom * std::log1p(t * t / freedom));
+  return std::copysign(normal, t);
 }
 
 }  // namespace groma::diagnosis

@@ -8,6 +8,7 @@
 #include <nlohmann/json.hpp>
 
 #include "host/calibration/association.hpp"
+#include "host/diagnosis/slice_gain.hpp"
 #include "test/host/diagnosis/mistakes.hpp"
 #include "test/support/random.hpp"
 #include "test/support/small_run.hpp"
@@ -176,6 +177,33 @@ TEST(Diagnose, WithACalibrationNamesNothingInAGoodDrive) {
   Data data = small_drive(8, kLonger_s);
   const model::Calibration calibration = surveyed(data);
   EXPECT_THAT(causes_of(diagnose(std::move(data), calibration)), testing::IsEmpty());
+}
+
+TEST(Diagnose, AnUnusableCalibrationProvesNothing) {
+  Data data = small_drive(7, kLonger_s);
+  test::clock_offset(0.25).make(data);
+  model::Calibration calibration = surveyed(data);
+  data.poses.clear();
+  EXPECT_THAT(causes_of(diagnose(Data(data), calibration)), testing::ElementsAre("clock-offset"));
+  calibration.verdict = model::Verdict::kUnusable;
+  EXPECT_THAT(causes_of(diagnose(std::move(data), calibration)), testing::IsEmpty());
+}
+
+// Gains of 0.5 and 1.5 in turn: 1 in the mean, with a sample deviation of 0.5 sqrt(n / (n - 1)).
+TEST(SliceGain, FewSlicesSayLess) {
+  const auto gain = [](int slices) {
+    std::vector<double> cost;
+    for (int i = 0; i < slices; ++i) cost.push_back(i % 2 == 0 ? -0.5 : -1.5);
+    std::vector<double> other(cost.size(), 0.0);
+    cost.push_back(std::nan(""));  // a slice without data
+    other.push_back(0.0);
+    return gain_in_sigmas(cost, other);
+  };
+  // Probabilities of Student's t: of t = 2 sqrt(3) with 3 degrees of freedom 0.0203, of t = 2 sqrt(19) with
+  // 19 degrees 2.4e-8; normal deviates of these.
+  EXPECT_NEAR(gain(4), 2.047, 0.02);
+  EXPECT_NEAR(gain(20), 5.46, 0.02);
+  EXPECT_EQ(gain(1), 0.0);
 }
 
 // Biases at their priors are not known; a mistake would explain them.

@@ -19,7 +19,10 @@ struct Dense {
   Eigen::MatrixXd information = Eigen::MatrixXd::Zero(kChainSize + kSharedSize, kChainSize + kSharedSize);
   Eigen::VectorXd right = Eigen::VectorXd::Zero(kChainSize + kSharedSize);
 
+  double cost = 0.0;
+
   void add(std::size_t k, const ChainProblem::Term& term) {
+    cost += 0.5 * term.residual.dot(term.information * term.residual);
     Eigen::MatrixXd row = Eigen::MatrixXd::Zero(term.residual.size(), kChainSize + kSharedSize);
     const auto at = static_cast<Eigen::Index>(k) * kBlockSize;
     row.middleCols(at, kBlockSize) = term.by_first;
@@ -54,6 +57,7 @@ TEST_P(WithConsidered, SolutionAndCovariancesEqualTheDenseProblem) {
   problem.add_shared_prior(unknowns);
   dense.information.bottomRightCorner(kSharedSize, kSharedSize).setIdentity();
   dense.right.tail(kSharedSize) = -unknowns;
+  dense.cost = 0.5 * unknowns.squaredNorm();
   for (int i = 0; i < 60; ++i) {
     const std::size_t k = static_cast<std::size_t>(i) % (kBlocks - 1);
     ChainProblem::Term term(kBlockSize, 2, 3);
@@ -68,6 +72,7 @@ TEST_P(WithConsidered, SolutionAndCovariancesEqualTheDenseProblem) {
     dense.add(k, term);
   }
 
+  EXPECT_NEAR(problem.cost(), dense.cost, 1e-10 * dense.cost);
   const ChainProblem::Solution solution = problem.solve();
   const Eigen::Index size = kChainSize + solved;
   const Eigen::MatrixXd inverse = dense.information.topLeftCorner(size, size).inverse();
@@ -91,6 +96,35 @@ TEST_P(WithConsidered, SolutionAndCovariancesEqualTheDenseProblem) {
   }
   EXPECT_LT((solution.shared.head(solved) - expected.tail(solved)).norm(), 1e-10);
   EXPECT_EQ(solution.shared.tail(considered).norm(), 0.0);
+}
+
+// A damped step is shorter in the shared vector, and the blocks follow it.
+TEST(ChainProblem, DampingShortensTheSharedStep) {
+  const auto solve = [](double damping) {
+    ChainProblem problem(2, 1, 1);
+    problem.add_shared_prior(Eigen::VectorXd::Zero(1));
+    ChainProblem::Term term(1, 2, 1);
+    term.by_first << 1.0, 0.0;
+    term.by_second << 0.0, 1.0;
+    term.by_shared << 1.0, 2.0;
+    term.shared = {0};
+    term.residual << 0.0, 3.0;
+    term.information = Eigen::Matrix2d::Identity();
+    problem.add(0, term);
+    ChainProblem::Term known(1, 1, 0);
+    known.by_second << 1.0;
+    known.information << 3.0;
+    problem.add(0, known);
+    return problem.solve(damping);
+  };
+  // With the blocks eliminated: information 1 + 4 * 3 / (1 + 3) = 4, descent 2 * 3 * 3 / (1 + 3) = 4.5.
+  for (const double damping : {0.0, 1.0, 8.0}) {
+    const ChainProblem::Solution step = solve(damping);
+    const double shared = 4.5 / (4.0 * (1.0 + damping));
+    EXPECT_NEAR(step.shared(0), shared, 1e-12);
+    EXPECT_NEAR(step.blocks[0](0), -shared, 1e-12);
+    EXPECT_NEAR(step.blocks[1](0), (3.0 - 2.0 * shared) / 4.0, 1e-12);
+  }
 }
 
 }  // namespace
