@@ -192,12 +192,10 @@ TEST(Diagnose, AnUnusableCalibrationProvesNothing) {
 // Gains of 0.5 and 1.5 in turn: 1 in the mean, with a sample deviation of 0.5 sqrt(n / (n - 1)).
 TEST(SliceGain, FewSlicesSayLess) {
   const auto gain = [](int slices) {
-    std::vector<double> cost;
-    for (int i = 0; i < slices; ++i) cost.push_back(i % 2 == 0 ? -0.5 : -1.5);
-    std::vector<double> other(cost.size(), 0.0);
-    cost.push_back(std::nan(""));  // a slice without data
-    other.push_back(0.0);
-    return gain_in_sigmas(cost, other);
+    std::vector<double> cost(static_cast<std::size_t>(slices) + 1);
+    for (std::size_t i = 0; i < cost.size(); ++i) cost[i] = i % 2 == 0 ? -0.5 : -1.5;
+    cost.back() = std::nan("");  // a slice without data
+    return gain_in_sigmas(cost, std::vector<double>(cost.size(), 0.0));
   };
   // Probabilities of Student's t: of t = 2 sqrt(3) with 3 degrees of freedom 0.0203, of t = 2 sqrt(19) with
   // 19 degrees 2.4e-8; normal deviates of these.
