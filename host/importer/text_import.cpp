@@ -244,12 +244,14 @@ void add_pairs(const TextRows& rows, const Source& source, std::span<const std::
   }
 }
 
-void finish_table(const std::filesystem::path& path, Table table, std::size_t begin, const Units& units,
+void finish_table(const std::filesystem::path& path, const Source& source, std::size_t begin,
                   std::string note, Imported& out) {
-  const ImportedTable& imported = out.tables.emplace_back(
-      ImportedTable{table, path.filename().string(), rows_of(table, out.dataset) - begin, std::move(note)});
+  if (source.base_link) move_to_base_link(source.to, begin, *source.base_link, out.dataset);
+  if (source.sort_by_time) sort_by_time(source.to, out.dataset);
+  const ImportedTable& imported = out.tables.emplace_back(ImportedTable{
+      source.to, path.filename().string(), rows_of(source.to, out.dataset) - begin, std::move(note)});
   if (imported.rows == 0) throw io::DataError({path}, "has no rows", "give another file, or correct the map");
-  expect_plausible(path, imported, begin, units, out.dataset);
+  expect_plausible(path, imported, begin, source.units, out.dataset);
 }
 
 void import_table(const std::filesystem::path& path, const Source& source, Imported& out) {
@@ -275,9 +277,7 @@ void import_table(const std::filesystem::path& path, const Source& source, Impor
       add_pairs(rows, source, pair_columns, cells, out);
     }
   }
-  if (source.base_link) move_to_base_link(source.to, begin, *source.base_link, out.dataset);
-  if (source.sort_by_time) sort_by_time(source.to, out.dataset);
-  finish_table(path, source.to, begin, source.units, "", out);
+  finish_table(path, source, begin, "", out);
 }
 
 bool is_of(const std::filesystem::path& input, const Source& source) {
@@ -434,8 +434,7 @@ void import_kitti(std::span<const std::filesystem::path> inputs, const ImportMap
     for (std::size_t k = 0; k < values.size(); ++k) cells[kColumns[k]] = cell(values[k]);
     static_cast<void>(add_row(source.to, cells, units, out.dataset));
   }
-  if (source.base_link) move_to_base_link(source.to, begin, *source.base_link, out.dataset);
-  finish_table(path, source.to, begin, source.units,
+  finish_table(path, source, begin,
                is_camera ? "axes of a camera: z forward, x right" : "axes of a robot: x forward, z up", out);
 }
 

@@ -489,7 +489,6 @@ class Smoother {
     if (!(sighting.weight > 0.0)) return;
     const Anchor& anchor = *sighting.anchor;
     const Prediction predicted = predict(sighting, values);
-    const Eigen::RowVectorXd d_anchor = by_anchor(sighting, predicted, values(shared_.frame() + 3));
     Eigen::RowVectorXd d_frame(filter::kFrameSize);
     d_frame << predicted.range.d_anchor, predicted.range.d_anchor.dot(predicted.turned);
 
@@ -501,7 +500,7 @@ class Smoother {
       for (Eigen::Index i = 0; i < by.size(); ++i) term.shared.push_back(at + i);
     };
     add(Shared::kDelay, Eigen::RowVectorXd::Constant(1, predicted.by_delay));
-    if (anchor.at >= 0) add(anchor.at, d_anchor);
+    if (anchor.at >= 0) add(anchor.at, by_anchor(sighting, predicted, values(shared_.frame() + 3)));
     add(shared_.lever_arm(sighting.tag), predicted.range.d_lever_arm);
     add(shared_.frame(), d_frame);
     term.by_first = (1.0 - predicted.share) * predicted.by_pose;
