@@ -55,6 +55,9 @@ endif()
 # GCC 12 wrongly assumes that Eigen's dynamic matrices are null.
 add_library(groma_test_options INTERFACE)
 target_compile_options(groma_test_options INTERFACE "$<$<CONFIG:Release>:-g0>" -Wno-null-dereference)
+if(GROMA_SANITIZE_NOT)
+  target_compile_options(groma_test_options INTERFACE -fno-sanitize=alignment)
+endif()
 add_library(groma_optimized_test_options INTERFACE)
 target_compile_options(groma_optimized_test_options INTERFACE "$<$<CONFIG:Release>:-O1>")
 add_library(groma_plain_test_options INTERFACE)
@@ -193,13 +196,14 @@ function(groma_test)
   endif()
 endfunction()
 
-# groma_campaign(NAME <name> SOURCES ... SHORT ... LONG ... [DEPENDS ...] [TIMEOUT s] [STATISTICS] [SLOW] [OPTIMIZED]):
+# groma_campaign(NAME <name> SOURCES ... SHORT ... LONG ... [DEPENDS ...] [TIMEOUT s] [STATISTICS] [SLOW]
+#                [OPTIMIZED | UNOPTIMIZED]):
 # the tests <name>_test and, long, <name> of the same sources; SHORT and LONG are their definitions; TIMEOUT
 # is that of the long one.
 function(groma_campaign)
-  cmake_parse_arguments(arg "STATISTICS;SLOW;OPTIMIZED" "NAME;TIMEOUT" "SOURCES;DEPENDS;SHORT;LONG" ${ARGN})
+  cmake_parse_arguments(arg "STATISTICS;SLOW;OPTIMIZED;UNOPTIMIZED" "NAME;TIMEOUT" "SOURCES;DEPENDS;SHORT;LONG" ${ARGN})
   set(common SOURCES ${arg_SOURCES} DEPENDS ${arg_DEPENDS})
-  foreach(option STATISTICS SLOW OPTIMIZED)
+  foreach(option STATISTICS SLOW OPTIMIZED UNOPTIMIZED)
     if(arg_${option})
       list(APPEND common ${option})
     endif()
