@@ -20,12 +20,12 @@ namespace groma::filter {
 // square of the excess given the error, m^2.
 [[nodiscard]] double excess_square(double error_m, double sigma_m, double mean_m) noexcept;
 
-// Probability densities of a range error, 1/m. los and blocked: LOS and NLOS, given that the range is no
+// Probability densities of a range error, 1/m. los and nlos: LOS and NLOS, given that the range is no
 // garbage. NLOS ranges are too long, or with probability short_share too short.
 struct RangeDensities {
   double los = 0.0;
   double nlos = 0.0;
-  double far = 0.0;      // part of blocked: larger excess of a pair that misses polls
+  double far = 0.0;      // part of nlos: larger excess of a pair that misses polls
   double garbage = 0.0;  // already times garbage_share
   double garbage_share = 0.0;
 };
@@ -125,7 +125,7 @@ class Gate {
   struct Posterior {
     double los = 0.0;
     double nlos = 0.0;       // the rest to 1 is garbage
-    double far = 0.0;        // part of blocked with the larger excess
+    double far = 0.0;        // part of nlos with the larger excess
     double pair_nlos = 0.0;  // NLOS probability of the pair after this range
   };
   // prior: NLOS probability of the pair before the range.
