@@ -84,6 +84,7 @@ TEST_F(Ros2Test, PublishesWhatThePoseStreamHas) {
   EXPECT_EQ(number(markers, "markers[1].id"), 100.0);
   const auto links = decode("visualization_msgs/msg/MarkerArray", peer.of("rt/groma/links").back().cdr);
   EXPECT_EQ(ros2::values_at(links, *ros2::FieldPath::parse("markers[0].points[].x")).size(), 12U);
+  EXPECT_THAT(statuses(), HasSubstr("groma: localization\n"));
 
   // As rmw has it: no warning of a missing type hash.
   EXPECT_TRUE(peer.has_event("participant enclave=/;"));
