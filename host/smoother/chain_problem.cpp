@@ -87,7 +87,7 @@ ChainProblem::Solution ChainProblem::solve(double damping) {
   Solution out;
   out.shared = Eigen::VectorXd::Zero(shared.rows());
   if (solved > 0) {
-    shared.diagonal().head(solved) *= 1.0 + damping;
+    shared.diagonal().head(solved).array() += damping;
     shared_root_.compute(shared.topLeftCorner(solved, solved));
     out.shared.head(solved) = shared_root_.solve(shared_right.head(solved));
     if (considered_ > 0)

@@ -46,8 +46,8 @@ class ChainProblem {
   // Half the sum of squares of all terms and the prior, whitened.
   [[nodiscard]] double cost() const noexcept { return cost_; }
 
-  // Requires positive definite normal equations. A Levenberg-Marquardt damping of the shared vector: its
-  // information, with the blocks eliminated, grows by this share. Once per clear().
+  // Requires positive definite normal equations. A Levenberg-Marquardt damping of the shared vector is
+  // added to its information, with the blocks eliminated. Once per clear().
   [[nodiscard]] Solution solve(double damping = 0.0);
   // Marginal covariance of each block, after solve(), jointly with the components of the shared vector given
   // by `shared`, which follow the block's own rows. None of these may be considered.

@@ -26,7 +26,7 @@ constexpr int kMaxRounds = 50;  // by hand; a result that needs more is reported
 // linear. Numerics: the first damping, its factors after a better and after a worse step, and the share of
 // the cost that is rounding. A step that lowers the cost by less than kConvergedCost is the last: 0.05
 // sigmas.
-constexpr double kFirstDamping = 1.0;
+constexpr double kFirstDamping = 10.0;
 constexpr double kLessDamping = 0.3;
 constexpr double kMoreDamping = 10.0;
 constexpr double kCostRounding = 1e-9;

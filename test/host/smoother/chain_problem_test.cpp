@@ -120,7 +120,7 @@ TEST(ChainProblem, DampingShortensTheSharedStep) {
   // With the blocks eliminated: information 1 + 4 * 3 / (1 + 3) = 4, descent 2 * 3 * 3 / (1 + 3) = 4.5.
   for (const double damping : {0.0, 1.0, 8.0}) {
     const ChainProblem::Solution step = solve(damping);
-    const double shared = 4.5 / (4.0 * (1.0 + damping));
+    const double shared = 4.5 / (4.0 + damping);
     EXPECT_NEAR(step.shared(0), shared, 1e-12);
     EXPECT_NEAR(step.blocks[0](0), -shared, 1e-12);
     EXPECT_NEAR(step.blocks[1](0), (3.0 - 2.0 * shared) / 4.0, 1e-12);
