@@ -40,7 +40,7 @@ struct RangeRecord {
   double t_s = 0.0;
   double range_m = 0.0;
   filter::RangeResult result;
-  double regained_sigma_m = 0.0;  // see Gate::regained_variance_m2()
+  double regained_sigma_m = 0.0;  // see RangeResult
   bool diverged = false;          // the gate's divergence flag is set
 };
 
@@ -171,12 +171,9 @@ History replay(const ExplainOptions& options, FilterInput::Drive& drive) {
     if (range.t_s < from_s) return;
     RangeRecord record{.t_s = range.t_s, .range_m = range.range_m, .result = result};
     const filter::Filter& filter = tracker.filter().filter();
-    const int anchor = filter.site().anchor_index(range.anchor_id);
-    if (reached_gate(record) && filter.slot_of(anchor) >= 0) {
-      const filter::Gate& gate = filter.snapshot().gate;
-      record.regained_sigma_m =
-          std::sqrt(gate.regained_variance_m2(filter.slot_of(anchor), filter.site().tag_slot(range.tag_id)));
-      record.diverged = gate.suspects_divergence(range.t_s);
+    if (reached_gate(record)) {
+      record.regained_sigma_m = std::sqrt(result.regained_variance_m2);
+      record.diverged = filter.snapshot().gate.suspects_divergence(range.t_s);
     }
     history.pairs[{range.tag_id, range.anchor_id}].push_back(record);
   };

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <type_traits>
 #include <utility>
 
 #include <Eigen/Cholesky>
@@ -74,8 +75,7 @@ Filter::Filter(model::Surface surface, std::span<const model::Tag> tags, const C
       site_(tags, here, model::is_ablated(Mechanism::kLeverArm) ? 0.0 : config.lever_arm_sigma_m),
       config_(config),
       delays_{config.range_delay_s, config.range_delay_sigma_s, config.odometry_delay_sigma_s},
-      now_(begin(site_, config, white_sigma_m(here, config))),
-      slots_(static_cast<std::size_t>(site_.anchor_count()), -1) {
+      now_(begin(site_, config, white_sigma_m(here, config))) {
   if (here.range_noise && here.range_noise->bias_sigma_m > 0.0)
     range_bias_time_s_ = here.range_noise->bias_time_s;
   if (here.range_delay_sigma_s > 0.0) {
@@ -83,9 +83,8 @@ Filter::Filter(model::Surface surface, std::span<const model::Tag> tags, const C
     delays_.range_sigma_s = here.range_delay_sigma_s;
   }
   now_.last_answer_s.fill(kNoAnswerYet_s);
-  find_slots();
   if (site_.anchor_count() > now_.parameters.anchor_count()) {
-    memories_.resize(slots_.size());
+    memories_.resize(anchors());
     exchanges_.resize(kMaxExchanges);
   }
 }
@@ -185,7 +184,7 @@ RangeOutcome Filter::admit(const model::RangeSample& range, PairPlace& pair) noe
   if (!now_.started) return RangeOutcome::kNotStarted;
   if (range.t_s < now_.t_s) return RangeOutcome::kOutOfOrder;
   pair.anchor = &site_.anchor(anchor);
-  pair.slot = slot_of(anchor);
+  pair.slot = now_.parameters.slot_of(anchor);
   const bool is_active = pair.slot >= 0;
   if (!is_active) pair.slot = free_slot(range.t_s);
   if (pair.slot < 0) return RangeOutcome::kNotActive;
@@ -210,9 +209,9 @@ RangeResult Filter::correct(const model::RangeSample& range, const PairPlace& pa
 }
 
 RangeMeasurement Filter::predict(const PairPlace& pair) const noexcept {
-  const auto measure = config_.model == Model::kOriginal ? measure_distance : measure_range;
-  return measure(surface_, now_.core, now_.odometry, now_.parameters.pair(site_, pair.slot, pair.tag),
-                 now_.chart);
+  PairParameters parameters = now_.parameters.pair(site_, pair.slot, pair.tag);
+  if (config_.model == Model::kOriginal) parameters = without_biases(parameters);
+  return measure_range(surface_, now_.core, now_.odometry, parameters, now_.chart);
 }
 
 void Filter::project(const RangeMeasurement& predicted, const PairPlace& pair, Projected& out) noexcept {
@@ -296,18 +295,14 @@ SensorResult Filter::take(const Sample& sample) noexcept {
   if (!now_.started) return {};
   if (sample.t_s < now_.t_s) return {.outcome = SensorOutcome::kOutOfOrder};
   advance_to(sample.t_s);
-  return use(sample);
-}
-
-SensorResult Filter::use(const model::YawRateSample& sample) noexcept {
-  if (!motion().turn(sample)) return {.outcome = SensorOutcome::kJumped};
-  return {.outcome = SensorOutcome::kUsed, .weight = 1.0};
-}
-
-template <class Sample>
-SensorResult Filter::use(const Sample& sample) noexcept {
-  const SensorView view{surface_, config_.sensors, now_.core, now_.odometry, present()};
-  return correct(model::kSensorOf<Sample>, measure(view, sample));
+  if constexpr (std::is_same_v<Sample, model::YawRateSample>) {
+    if (!motion().turn(sample)) return {.outcome = SensorOutcome::kJumped};
+    return {.outcome = SensorOutcome::kUsed, .weight = 1.0};
+  } else {
+    const PresentPose present = present_pose(surface_, now_.core, now_.odometry, delays_, now_.chart);
+    return correct(model::kSensorOf<Sample>,
+                   measure({surface_, config_.sensors, now_.core, now_.odometry, present}, sample));
+  }
 }
 
 template <int kSize>
@@ -362,7 +357,7 @@ int Filter::free_slot(double t_s) const noexcept {
 
 void Filter::exchange(int slot, int anchor) noexcept {
   const int leaving = now_.parameters.anchor_in(slot);
-  const std::uint64_t number = now_.exchanges++;
+  const std::size_t number = now_.counters.anchor_exchanges++;
   Exchange& record = at(number);
   record.left = leaving;
   AnchorMemory& left = memories_[static_cast<std::size_t>(leaving)];
@@ -377,7 +372,7 @@ void Filter::exchange(int slot, int anchor) noexcept {
   if (back.was_active && back.cross.size() > 0) {
     // The ring of exchanges does not reach back that far: assume no correlation.
     if (number - back.left >= kMaxExchanges) back.cross.setZero();
-    for (std::uint64_t i = back.left + 1; i <= number && !back.cross.isZero(0.0); ++i) {
+    for (std::size_t i = back.left + 1; i <= number && !back.cross.isZero(0.0); ++i) {
       back.cross = back.cross.lazyProduct(at(i).absence).eval();
     }
   }
@@ -388,35 +383,18 @@ void Filter::exchange(int slot, int anchor) noexcept {
   now_.covariance.augment(site_.anchor(anchor), slot, back, faded, now_.parameters);
   now_.gate.renew(slot, now_.t_s);
   now_.slip_watch.renew(slot);
-  slots_[static_cast<std::size_t>(leaving)] = -1;
-  slots_[static_cast<std::size_t>(anchor)] = slot;
-  ++now_.counters.anchor_exchanges;
 }
 
 void Filter::restore(const Snapshot& snapshot) noexcept {
-  while (now_.exchanges > snapshot.exchanges) {
-    const Exchange& last = at(--now_.exchanges);
+  for (std::size_t i = now_.counters.anchor_exchanges; i > snapshot.counters.anchor_exchanges; --i) {
+    const Exchange& last = at(i - 1);
     memories_[static_cast<std::size_t>(last.left)] = last.before;
   }
-  for (int slot = 0; slot < now_.parameters.anchor_count(); ++slot) {
-    slots_[static_cast<std::size_t>(now_.parameters.anchor_in(slot))] = -1;
-  }
   now_ = snapshot;
-  find_slots();
-}
-
-void Filter::find_slots() noexcept {
-  for (int slot = 0; slot < now_.parameters.anchor_count(); ++slot) {
-    slots_[static_cast<std::size_t>(now_.parameters.anchor_in(slot))] = slot;
-  }
 }
 
 Estimate Filter::estimate() const noexcept {
-  return estimate_of(now_, now_.covariance);
-}
-
-Estimate Filter::estimate(const Prediction& prediction) const noexcept {
-  return estimate_of(prediction.motion, prediction.covariance);
+  return estimate(prediction());
 }
 
 Filter::Prediction Filter::prediction() const noexcept {
@@ -443,11 +421,12 @@ void Filter::carry(Prediction& prediction, const MotionInput& input) const noexc
   }
 }
 
-template <class Covariance>
-Estimate Filter::estimate_of(const MotionState& now, const Covariance& covariance) const noexcept {
+Estimate Filter::estimate(const Prediction& prediction) const noexcept {
+  const MotionState& now = prediction.motion;
+  const CoreCovariance& covariance = prediction.covariance;
   Estimate out{.t_s = now.t_s,
                .pose = {now.core(kX), now.core(kY), now.core(kTheta), now.chart},
-               .covariance = covariance.core().template topLeftCorner<3, 3>(),
+               .covariance = covariance.core().topLeftCorner<3, 3>(),
                .scale_error = now.core(kScale),
                .yaw_rate_bias_radps = now.core(kYawBias),
                .range_delay_s = now.core(kDelay),
@@ -457,7 +436,8 @@ Estimate Filter::estimate_of(const MotionState& now, const Covariance& covarianc
   if (now.has_sample) {
     const BodyVelocity velocity = body_velocity(now.core, now.odometry);
     out.velocity = velocity.value;
-    const Eigen::Matrix3d spread = velocity.d_core * covariance.core() * velocity.d_core.transpose();
+    const Eigen::Matrix3d spread =
+        velocity.d_core.lazyProduct(covariance.core()).eval().lazyProduct(velocity.d_core.transpose());
     out.velocity_covariance = 0.5 * (spread + spread.transpose());
   }
   if (!(delays_.odometry_share() > 0.0)) return out;

@@ -137,12 +137,11 @@ class Filter {
     JointCovariance covariance;
     bool started = false;
     std::array<double, kMaxAnchors> last_answer_s{};  // time of the last range in each slot
-    std::uint64_t exchanges = 0;
     Counters counters{};
 
     void archive(model::StateArchive& state) {
       state(static_cast<MotionState&>(*this), parameters, gate, slip_watch, tuning, sensors, covariance,
-            started, last_answer_s, exchanges, counters);
+            started, last_answer_s, counters);
     }
   };
   // Number of anchor exchanges that restore() can undo. A size; after as many, an absent anchor's covariance
@@ -188,26 +187,26 @@ class Filter {
     return !surface_.covers(now_.core(kX), now_.core(kY), now_.chart);
   }
   [[nodiscard]] const Counters& counters() const noexcept { return now_.counters; }
-  [[nodiscard]] std::size_t anchors() const noexcept { return slots_.size(); }
+  [[nodiscard]] std::size_t anchors() const noexcept {
+    return static_cast<std::size_t>(site_.anchor_count());
+  }
 
   // restore() undoes all inputs since a snapshot of this filter. The snapshot holds no state of inactive
   // anchors, only the number of exchanges; can_restore() is false after more than kMaxExchanges since then.
   [[nodiscard]] const Snapshot& snapshot() const noexcept { return now_; }
   [[nodiscard]] bool can_restore(const Snapshot& snapshot) const noexcept {
-    return now_.exchanges - snapshot.exchanges <= kMaxExchanges;
+    return now_.counters.anchor_exchanges - snapshot.counters.anchor_exchanges <= kMaxExchanges;
   }
   void restore(const Snapshot& snapshot) noexcept;
 
   // Of a filter with the same calibration and configuration.
-  void archive(model::StateArchive& state) { state(now_, slots_, memories_, exchanges_); }
+  void archive(model::StateArchive& state) { state(now_, memories_, exchanges_); }
 
   // For tests and diagnostics.
   [[nodiscard]] const CoreVector& core() const noexcept { return now_.core; }
   [[nodiscard]] const JointCovariance& covariance() const noexcept { return now_.covariance; }
   [[nodiscard]] const Parameters& parameters() const noexcept { return now_.parameters; }
   [[nodiscard]] const Site& site() const noexcept { return site_; }
-  // Slot of an anchor of the site; -1 if it is not active.
-  [[nodiscard]] int slot_of(int anchor) const noexcept { return slots_[static_cast<std::size_t>(anchor)]; }
 
  private:
   // here: the calibration, adapted to another drive than its own.
@@ -235,24 +234,15 @@ class Filter {
   void tune(const PairPlace& pair, const RangeResult& result) noexcept;
   template <class Sample>
   SensorResult take(const Sample& sample) noexcept;
-  SensorResult use(const model::YawRateSample& sample) noexcept;
-  template <class Sample>
-  SensorResult use(const Sample& sample) noexcept;
   template <int kSize>
   SensorResult correct(std::size_t sensor, const CoreMeasurement<kSize>& measurement) noexcept;
   void add(const CoreVector& change) noexcept;
-  [[nodiscard]] PresentPose present() const noexcept {
-    return present_pose(surface_, now_.core, now_.odometry, delays_, now_.chart);
-  }
   [[nodiscard]] DeadReckoning<JointCovariance> motion() noexcept {
     return {surface_, config_, range_bias_time_s_, &now_.gate, now_, now_.covariance};
   }
-  template <class Covariance>
-  [[nodiscard]] Estimate estimate_of(const MotionState& now, const Covariance& covariance) const noexcept;
   // The slot whose anchor was silent longest; -1 if none was silent for silent_s.
   [[nodiscard]] int free_slot(double t_s) const noexcept;
   void exchange(int slot, int anchor) noexcept;
-  void find_slots() noexcept;
 
   // What is needed to undo one exchange and to re-activate the anchor that was removed.
   struct Exchange {
@@ -260,9 +250,7 @@ class Filter {
     AnchorMemory before;
     CoreMatrix absence;  // JointCovariance::absence() from the previous exchange to this one
   };
-  [[nodiscard]] Exchange& at(std::uint64_t exchange) noexcept {
-    return exchanges_[static_cast<std::size_t>(exchange % kMaxExchanges)];
-  }
+  [[nodiscard]] Exchange& at(std::size_t exchange) noexcept { return exchanges_[exchange % kMaxExchanges]; }
 
   model::Surface surface_;
   Site site_;
@@ -270,7 +258,6 @@ class Filter {
   LinkDelays delays_;
   double range_bias_time_s_ = 0.0;  // 0: no slow range bias
   Snapshot now_;
-  std::vector<int> slots_;              // of each anchor of the site; -1 if it is not active
   std::vector<AnchorMemory> memories_;  // of each anchor of the site; empty if all are active
   std::vector<Exchange> exchanges_;     // ring buffer; empty if all are active
 };

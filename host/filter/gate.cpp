@@ -70,6 +70,53 @@ double excess_density(double error_m, double sigma_m, double mean_m) noexcept {
   return std::exp(0.5 * ratio * ratio - error_m / mean_m) * below / mean_m;
 }
 
+// Probability densities of a range error, 1/m. los and nlos: LOS and NLOS, given that the range is no
+// garbage. NLOS ranges are too long, or with probability short_share too short.
+struct RangeDensities {
+  double los = 0.0;
+  double nlos = 0.0;
+  double far = 0.0;      // part of nlos: larger excess of a pair that misses polls
+  double garbage = 0.0;  // already times garbage_share
+  double garbage_share = 0.0;
+};
+
+// missed: share of the pair's recent polls without an answer.
+RangeDensities range_densities(double error_m, double sigma_m, const GateConfig& config,
+                               double missed) noexcept {
+  const double far_share = std::min(missed / kFarMissed, 1.0);
+  const double garbage_share = config.garbage_share + config.regained_garbage * missed;
+  const double short_share = model::is_ablated(Mechanism::kGateShort) ? 0.0 : config.short_share;
+  const double near = (1.0 - short_share) * excess_density(error_m, sigma_m, config.excess_m) +
+                      short_share * excess_density(-error_m, sigma_m, config.excess_m);
+  const double far = far_share > 0.0 ? far_share * excess_density(error_m, sigma_m, kRegained_m) : 0.0;
+  return {.los = gaussian_density(error_m, sigma_m),
+          .nlos = (1.0 - far_share) * near + far,
+          .far = far,
+          .garbage = garbage_share / config.garbage_width_m,
+          .garbage_share = garbage_share};
+}
+
+// Posterior of one range.
+struct Posterior {
+  double los = 0.0;
+  double nlos = 0.0;       // the rest to 1 is garbage
+  double far = 0.0;        // part of nlos with the larger excess
+  double pair_nlos = 0.0;  // NLOS probability of the pair after this range
+};
+
+// prior: NLOS probability of the pair before the range; nlos_max: upper bound of that after it.
+Posterior judge(const RangeDensities& density, double prior, double nlos_max) noexcept {
+  const double los = (1.0 - prior) * (1.0 - density.garbage_share) * density.los;
+  const double nlos = prior * (1.0 - density.garbage_share) * density.nlos;
+  const double total = los + nlos + density.garbage;
+  // No hypothesis explains the range: the pair's probability stays.
+  if (!(total > 0.0)) return {.pair_nlos = prior};
+  return {.los = los / total,
+          .nlos = nlos / total,
+          .far = prior * (1.0 - density.garbage_share) * density.far / total,
+          .pair_nlos = std::min((nlos + density.garbage * prior) / total, nlos_max)};
+}
+
 double weight_of(double los) noexcept {
   return los >= kNoWeight ? los : 0.0;
 }
@@ -84,21 +131,6 @@ double excess_square(double error_m, double sigma_m, double mean_m) noexcept {
   const double below = 0.5 * std::erfc(-sigmas * std::numbers::sqrt2 / 2.0);
   const double at_zero = gaussian_density(sigmas, 1.0) / below;
   return std::max(square(sigma_m) * (1.0 + sigmas * (sigmas + at_zero)), 0.0);
-}
-
-RangeDensities range_densities(double error_m, double sigma_m, const GateConfig& config,
-                               double missed) noexcept {
-  const double far_share = std::min(missed / kFarMissed, 1.0);
-  const double garbage_share = config.garbage_share + config.regained_garbage * missed;
-  const double short_share = model::is_ablated(Mechanism::kGateShort) ? 0.0 : config.short_share;
-  const double near = (1.0 - short_share) * excess_density(error_m, sigma_m, config.excess_m) +
-                      short_share * excess_density(-error_m, sigma_m, config.excess_m);
-  const double far = far_share > 0.0 ? far_share * excess_density(error_m, sigma_m, kRegained_m) : 0.0;
-  return {.los = gaussian_density(error_m, sigma_m),
-          .nlos = (1.0 - far_share) * near + far,
-          .far = far,
-          .garbage = garbage_share / config.garbage_width_m,
-          .garbage_share = garbage_share};
 }
 
 double PowerHint::share(const Counts& counts, const std::array<double, model::kHiddenClasses>& believed,
@@ -166,7 +198,7 @@ Gate::Reception Gate::update_reception(int anchor, Pair& pair, double t_s) noexc
 
 double Gate::prior_nlos(int anchor, const Pair& pair, double t_s) const noexcept {
   if (model::is_ablated(Mechanism::kGateMemory)) return config_.nlos_prior;
-  const auto fade = [&](const Pair& of) { return std::exp(-std::max(t_s - of.t_s, 0.0) / config_.sticky_s); };
+  const auto fade = [&](const Pair& of) { return fading(of.t_s, t_s, config_.sticky_s); };
   double out = config_.nlos_prior + (pair.unhinted - config_.nlos_prior) * fade(pair);
   if (model::is_ablated(Mechanism::kGateTags)) return out;
   // An obstacle that makes an anchor NLOS for one tag often does so for the other tags.
@@ -175,18 +207,6 @@ double Gate::prior_nlos(int anchor, const Pair& pair, double t_s) const noexcept
     if (other.unhinted > std::max(out, config_.nlos_prior)) out = std::max(out, other.unhinted * fade(other));
   }
   return out;
-}
-
-Gate::Posterior Gate::judge(const RangeDensities& density, double prior) const noexcept {
-  const double los = (1.0 - prior) * (1.0 - density.garbage_share) * density.los;
-  const double nlos = prior * (1.0 - density.garbage_share) * density.nlos;
-  const double total = los + nlos + density.garbage;
-  // No hypothesis explains the range: the pair's probability stays.
-  if (!(total > 0.0)) return {.pair_nlos = prior};
-  return {.los = los / total,
-          .nlos = nlos / total,
-          .far = prior * (1.0 - density.garbage_share) * density.far / total,
-          .pair_nlos = std::min((nlos + density.garbage * prior) / total, config_.nlos_max)};
 }
 
 double Gate::weigh(int anchor, int tag, double t_s, double innovation_m, double variance_m2,
@@ -202,7 +222,7 @@ double Gate::weigh(int anchor, int tag, double t_s, double innovation_m, double 
   const RangeDensities density = range_densities(innovation_m, sigma, config_, reception.missed);
 
   // The power hint must not feed back into itself or into the divergence test: these use innovations only.
-  const Posterior unhinted = judge(density, prior);
+  const Posterior unhinted = judge(density, prior, config_.nlos_max);
   const double weight = weight_of(unhinted.los);
   chain.regained_m2 = 0.0;
   if (reception.missed > 0.0) {
@@ -224,7 +244,7 @@ double Gate::weigh(int anchor, int tag, double t_s, double innovation_m, double 
   const auto with_hint = [ratio](double share) { return share * ratio / (share * ratio + 1.0 - share); };
   // Innovations of a pair are correlated, so `prior` is overconfident: bound it by the share on site.
   const double known = std::min(std::max(prior, hint_.nlos_share()), config_.nlos_max);
-  const Posterior hinted = judge(density, with_hint(known));
+  const Posterior hinted = judge(density, with_hint(known), config_.nlos_max);
   chain.nlos = hinted.pair_nlos;
   // Small innovations of a mostly NLOS class are correlated, too: the state may have followed them.
   const double trust = 1.0 - with_hint(hint_.nlos_share());
@@ -232,7 +252,7 @@ double Gate::weigh(int anchor, int tag, double t_s, double innovation_m, double 
 }
 
 void Gate::Tally::add(double at_s, double window_s, double innovation_m, double weight) noexcept {
-  const double fade = std::exp(-std::max(at_s - t_s, 0.0) / window_s);
+  const double fade = fading(t_s, at_s, window_s);
   t_s = at_s;
   seen = seen * fade + 1.0;
   refused = refused * fade + (1.0 - weight);

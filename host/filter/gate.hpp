@@ -20,19 +20,6 @@ namespace groma::filter {
 // square of the excess given the error, m^2.
 [[nodiscard]] double excess_square(double error_m, double sigma_m, double mean_m) noexcept;
 
-// Probability densities of a range error, 1/m. los and nlos: LOS and NLOS, given that the range is no
-// garbage. NLOS ranges are too long, or with probability short_share too short.
-struct RangeDensities {
-  double los = 0.0;
-  double nlos = 0.0;
-  double far = 0.0;      // part of nlos: larger excess of a pair that misses polls
-  double garbage = 0.0;  // already times garbage_share
-  double garbage_share = 0.0;
-};
-// missed: share of the pair's recent polls without an answer.
-[[nodiscard]] RangeDensities range_densities(double error_m, double sigma_m, const GateConfig& config,
-                                             double missed = 0.0) noexcept;
-
 // LOS/NLOS hint by the received powers of a range, estimated on site with the innovations as reference. Each
 // range falls into one power class; the hint counts how often LOS and NLOS ranges have that class. The prior
 // counts are the chip manufacturer's for the power beside the first path, and uniform for the first path's
@@ -120,16 +107,6 @@ class Gate {
     void add(double at_s, double window_s, double innovation_m, double weight) noexcept;
     [[nodiscard]] bool refuses() const noexcept;
   };
-
-  // Posterior of one range.
-  struct Posterior {
-    double los = 0.0;
-    double nlos = 0.0;       // the rest to 1 is garbage
-    double far = 0.0;        // part of nlos with the larger excess
-    double pair_nlos = 0.0;  // NLOS probability of the pair after this range
-  };
-  // prior: NLOS probability of the pair before the range.
-  [[nodiscard]] Posterior judge(const RangeDensities& density, double prior) const noexcept;
 
   // Updates the pair's reception.
   Reception update_reception(int anchor, Pair& pair, double t_s) noexcept;

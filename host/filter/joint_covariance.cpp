@@ -6,6 +6,16 @@
 
 #include <Eigen/Cholesky>
 
+// The loops over many parameters have variants for AVX2 and AVX-512, selected at program start. All variants
+// round each operation alike, so results do not depend on the variant. Vectors and columns are aligned to 64
+// bytes and padded with zeros to multiples of kKernelStep.
+#if defined(__x86_64__) && defined(__linux__) && !defined(__SANITIZE_ADDRESS__) && \
+    !defined(__SANITIZE_THREAD__)
+#define GROMA_CLONES __attribute__((target_clones("default", "avx2", "avx512f")))
+#else
+#define GROMA_CLONES
+#endif
+
 namespace groma::filter {
 
 namespace {
@@ -24,6 +34,108 @@ RowsMap<CrossBlock> rows_of(double* cross, int rows = kCrossStride) noexcept {
 
 RowsMap<const CrossBlock> rows_of(const double* cross) noexcept {
   return {cross, kCrossStride, kCoreSize, {}};
+}
+
+// All columns begin at a multiple of 64 bytes.
+double* aligned(double* at) noexcept {
+  return static_cast<double*>(__builtin_assume_aligned(at, 64));
+}
+
+// C <- C F^T, with F the identity except the pose's rows, whose derivatives w.r.t. the delay are zero.
+GROMA_CLONES void move_cross(double* cross, int rows, const PoseRows& pose_rows) noexcept {
+  double* const c = aligned(cross);
+  const PoseRows f = pose_rows;
+  const int end = padded(rows);
+  for (int i = 0; i < end; ++i) {
+    const auto at = [=](CoreIndex k) -> double& { return c[i + k * kCrossStride]; };
+    const double x = at(kX), y = at(kY), theta = at(kTheta), scale = at(kScale), bias = at(kYawBias);
+    const double vx = at(kOdometryVx), vy = at(kOdometryVy), omega = at(kOdometryOmega);
+    const auto position = [&](int row) {
+      return f(row, kX) * x + f(row, kY) * y + f(row, kTheta) * theta + f(row, kScale) * scale +
+             f(row, kYawBias) * bias + f(row, kOdometryVx) * vx + f(row, kOdometryVy) * vy +
+             f(row, kOdometryOmega) * omega;
+    };
+    at(kX) = position(kX);
+    at(kY) = position(kY);
+    at(kTheta) = f(kTheta, kTheta) * theta + f(kTheta, kYawBias) * bias + f(kTheta, kOdometryOmega) * omega;
+  }
+}
+
+// q <- q + C d; C <- C - q gain^T.
+GROMA_CLONES void correct_cross(double* cross, int rows, const CoreVector& d_core, const CoreVector& gain_of,
+                                double* q) noexcept {
+  static_assert(kCoreSize == 9);
+  double* const c = aligned(cross);
+  double* const __restrict out = aligned(q);
+  // Copies, which the stores to `c` cannot change: the loop is vectorized.
+  const CoreVector d = d_core;      // NOLINT(performance-unnecessary-copy-initialization)
+  const CoreVector gain = gain_of;  // NOLINT(performance-unnecessary-copy-initialization)
+  const int end = padded(rows);
+  for (int i = 0; i < end; ++i) {
+    std::array<double, kCoreSize> v;
+    for (std::size_t k = 0; k < kCoreSize; ++k) v[k] = c[i + static_cast<std::ptrdiff_t>(k) * kCrossStride];
+    const double sum = ((out[i] + v[0] * d(0)) + (v[1] * d(1) + v[2] * d(2))) +
+                       ((v[3] * d(3) + v[4] * d(4)) + (v[5] * d(5) + v[6] * d(6))) +
+                       (v[7] * d(7) + v[8] * d(8));
+    out[i] = sum;
+    for (std::size_t k = 0; k < kCoreSize; ++k)
+      c[i + static_cast<std::ptrdiff_t>(k) * kCrossStride] = v[k] - sum * gain[static_cast<Eigen::Index>(k)];
+  }
+}
+
+// P(i, j) <- P(i, j) - g(i) g(j) for the lower triangle, stored by columns, except where both parameters are
+// considered: masked = g for estimated parameters (`estimated` is not zero) and zero for the others. The
+// entries above the diagonal are undefined.
+GROMA_CLONES void subtract_square(double* lower, int stride, int size, const double* g, const double* masked,
+                                  const double* estimated) noexcept {
+  const int end = padded(size);
+  // Four columns at once, from the aligned row group of the diagonal on; nothing reads what is above it.
+  for (int j = 0; j < size; j += 4) {
+    double* const column = aligned(lower) + static_cast<std::ptrdiff_t>(j) * stride;
+    double* const __restrict p0 = aligned(column);
+    double* const __restrict p1 = aligned(column + stride);
+    double* const __restrict p2 = aligned(column + 2 * static_cast<std::ptrdiff_t>(stride));
+    double* const __restrict p3 = aligned(column + 3 * static_cast<std::ptrdiff_t>(stride));
+    const auto rows_of = [&](int k) { return estimated[k] != 0.0 ? g : masked; };
+    const double *const v0 = rows_of(j), *const v1 = rows_of(j + 1), *const v2 = rows_of(j + 2),
+                        *const v3 = rows_of(j + 3);
+    const double g0 = g[j], g1 = g[j + 1], g2 = g[j + 2], g3 = g[j + 3];
+    for (int line = j - j % kKernelStep; line < end; line += kKernelStep) {
+      for (int i = line; i < line + kKernelStep; ++i) {
+        p0[i] -= g0 * v0[i];
+        p1[i] -= g1 * v1[i];
+        p2[i] -= g2 * v2[i];
+        p3[i] -= g3 * v3[i];
+      }
+    }
+  }
+}
+
+// out += P w for `count` adjacent columns of the symmetric matrix P, except the rows of their own diagonal
+// block: out(i) += sum over k of w(k) P(i, first + k) for i >= first + count, and of w(k) P(first + k, i) for
+// i < first.
+GROMA_CLONES void add_columns(const double* lower, int stride, int size, int first, int count,
+                              const double* w, double* out) noexcept {
+  double* const __restrict sum = out;
+  std::array<double, kMaxAnchorSize> weight{};
+  std::array<int, kMaxAnchorSize> at{};
+  std::size_t weights = 0;
+  for (int k = 0; k < count; ++k) {
+    if (w[k] == 0.0) continue;
+    weight[weights] = w[k];
+    at[weights++] = first + k;
+  }
+  for (int i = 0; i < first; ++i) {
+    const double* const row = lower + static_cast<std::ptrdiff_t>(i) * stride;
+    double dot = 0.0;
+    for (std::size_t k = 0; k < weights; ++k) dot += weight[k] * row[at[k]];
+    sum[i] += dot;
+  }
+  for (std::size_t k = 0; k < weights; ++k) {
+    const double* const __restrict column = lower + static_cast<std::ptrdiff_t>(at[k]) * stride;
+    const double factor = weight[k];
+    for (int i = first + count; i < size; ++i) sum[i] += factor * column[i];
+  }
 }
 
 // P <- F P F^T, F the identity except the pose's rows, whose derivatives w.r.t. the delay are zero.
@@ -114,10 +226,6 @@ void JointCovariance::set_estimated(int slot, bool is_estimated) noexcept {
     std::fill_n(own, estimated_ == EstimatedParameters::kAll ? layout_.anchor_size() - 1 : 3, 1.0);
   // The slow range bias's variance is always range_bias_variance_m2_ and is stored there.
   lower(layout_.range_bias(slot), layout_.range_bias(slot)) = 0.0;
-  considered_ = estimated_ != EstimatedParameters::kAll;
-  for (int other = 0; other < layout_.anchor_count(); ++other) {
-    if (estimates_[static_cast<std::size_t>(layout_.position(other))] == 0.0) considered_ = true;
-  }
 }
 
 void JointCovariance::reset_core(const CoreMatrix& covariance) noexcept {
@@ -255,9 +363,8 @@ void JointCovariance::own_of_estimated(const RangeMeasurement& measurement, cons
   const auto add = [&](int first, int count, const double* w) {
     add_columns(lower_data(), stride_, size_, first, count, w, own);
     for (int i = 0; i < count; ++i) {
-      for (int k = 0; k < count; ++k) {
-        own[first + i] += w[k] * (i < k ? lower(first + k, first + i) : lower(first + i, first + k));
-      }
+      for (int k = 0; k < count; ++k)
+        own[first + i] += w[k] * lower(first + std::max(i, k), first + std::min(i, k));
     }
   };
   add(layout_.frame(), kFrameSize, d.data() + kOfFrame);
@@ -344,29 +451,10 @@ void JointCovariance::correct(const CoreRow& d_core, Projected& projected, doubl
     values(i) += estimates_[static_cast<std::size_t>(i)] * q[i] * gain;
     q[i] *= root;
   }
-  if (!considered_) {
-    subtract_square(lower_data(), stride_, size_, q);
-    // Slow range biases are considered: their own covariance block stays.
-    for (int slot = 0; slot < layout_.anchor_count(); ++slot) {
-      for (int other = 0; other <= slot; ++other) {
-        lower(layout_.range_bias(slot), layout_.range_bias(other)) = 0.0;
-      }
-    }
-    // So is the ground's deviation.
-    if (!has_ground()) return;
-    for (int i = layout_.ground(); i < size_; ++i) {
-      for (int slot = 0; slot < layout_.anchor_count(); ++slot) lower(i, layout_.range_bias(slot)) = 0.0;
-      for (int j = layout_.ground(); j <= i; ++j) lower(i, j) = 0.0;
-    }
-    return;
-  }
-  std::array<double, static_cast<std::size_t>(kCrossStride)> masked;
-  for (std::size_t i = 0; i < static_cast<std::size_t>(size_); ++i) masked[i] = estimates_[i] * q[i];
-  for (int j = 0; j < size_; ++j) {
-    // Two considered parameters keep their covariance.
-    const bool is_estimated = estimates_[static_cast<std::size_t>(j)] != 0.0;
-    subtract_column(&lower(0, j), j, size_, q[j], is_estimated ? q : masked.data());
-  }
+  alignas(64) std::array<double, static_cast<std::size_t>(kCrossStride)> masked;
+  for (int i = 0; i < stride_; ++i)
+    masked[static_cast<std::size_t>(i)] = estimates_[static_cast<std::size_t>(i)] * q[i];
+  subtract_square(lower_data(), stride_, size_, q, masked.data(), estimates_.data());
 }
 
 CoreMatrix JointCovariance::absence() noexcept {
@@ -376,10 +464,6 @@ CoreMatrix JointCovariance::absence() noexcept {
 
 void JointCovariance::begin_absence() noexcept {
   if (absent_rows_ > 0) rows_of(cross_.data()).middleRows<kCoreSize>(size_).setIdentity();
-}
-
-double& JointCovariance::at(int i, int j) noexcept {
-  return lower(std::max(i, j), std::min(i, j));
 }
 
 template <class Block>
@@ -442,7 +526,7 @@ void JointCovariance::augment(const SiteAnchor& anchor, int slot, const AnchorMe
     return;
   }
   const auto write = [&](int j, const AnchorVector& column) {
-    for (int i = 0; i < size; ++i) at(first + i, j) = column(i);
+    for (int i = first; i < first + size; ++i) lower(std::max(i, j), std::min(i, j)) = column(i - first);
   };
   for (int j = 0; j < size_; ++j) write(j, AnchorVector::Zero(size));
   AnchorMatrix own = memory.was_active ? memory.covariance : anchor.covariance;

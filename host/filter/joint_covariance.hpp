@@ -7,18 +7,24 @@
 
 #include <array>
 #include <cstddef>
-#include <cstdint>
 #include <vector>
 
 #include <Eigen/Core>
 
-#include "host/filter/covariance_kernels.hpp"
 #include "host/filter/range_measurement.hpp"
 #include "host/filter/site.hpp"
 #include "host/filter/state.hpp"
 #include "host/model/state_archive.hpp"
 
 namespace groma::filter {
+
+inline constexpr int kKernelStep = 8;  // doubles in 64 bytes, the width of AVX-512
+[[nodiscard]] constexpr int padded(int size) noexcept {
+  return (size + kKernelStep - 1) / kKernelStep * kKernelStep;
+}
+// Column stride of the cross-covariance. Behind the parameters' rows there is room for the kCoreSize rows of
+// JointCovariance::absence().
+inline constexpr std::ptrdiff_t kCrossStride = padded(kMaxParameters + kCoreSize);
 
 using GroundRows = Eigen::Matrix<double, kGroundSize, kCoreSize>;
 
@@ -75,8 +81,8 @@ struct Projected {
 // What is stored of an anchor that was removed from the active set.
 struct AnchorMemory {
   bool was_active = false;
-  std::uint64_t left = 0;  // number of the exchange that removed it
-  double t_s = 0.0;        // time of that exchange
+  std::size_t left = 0;  // number of the exchange that removed it
+  double t_s = 0.0;      // time of that exchange
   // If parameters are considered: its cross-covariance with the core.
   Eigen::Matrix<double, Eigen::Dynamic, kCoreSize, Eigen::ColMajor, kMaxAnchorSize, kCoreSize> cross;
   // If it is estimated: its values and those of the common parameters, its regression on these, and its
@@ -147,7 +153,7 @@ class JointCovariance {
   void archive(model::StateArchive& state) {
     state(estimated_, layout_, size_, stride_, absent_rows_, lever_arm_variance_m2_, range_bias_variance_m2_,
           frame_covariance_, core_, cross_, motion_, moved_, same_sample_, range_bias_scale_,
-          ground_variances_, ground_scale_, lower_, estimates_, considered_);
+          ground_variances_, ground_scale_, lower_, estimates_);
   }
 
   [[nodiscard]] const CoreMatrix& core() const noexcept { return core_; }
@@ -164,7 +170,6 @@ class JointCovariance {
   [[nodiscard]] const double* lower_data() const noexcept { return lower_.data()->data(); }
   // Number of rows of the cross-covariance.
   [[nodiscard]] int rows() const noexcept { return size_ + absent_rows_; }
-  [[nodiscard]] double& at(int i, int j) noexcept;  // of either triangle
   // Reads the block of the parameters' covariance that begins at (row, column).
   template <class Block>
   void read(int row, int column, Block& out) const noexcept;
@@ -208,7 +213,6 @@ class JointCovariance {
   struct alignas(64) Line : std::array<double, kKernelStep> {};
   std::vector<Line> lower_;
   alignas(64) std::array<double, static_cast<std::size_t>(kCrossStride)> estimates_{};  // 1: estimated
-  bool considered_ = false;  // any parameter other than slow range biases and ground
 };
 
 }  // namespace groma::filter

@@ -44,14 +44,4 @@ RangeMeasurement measure_range(const model::Surface& surface, const CoreVector& 
   return out;
 }
 
-RangeMeasurement measure_distance(const model::Surface& surface, const CoreVector& core,
-                                  const model::OdometrySample& row, const PairParameters& pair,
-                                  int chart) noexcept {
-  PairParameters pure = pair;
-  pure.terms = model::each_term([](const model::PairTerm& term) { return term.neutral; });
-  pure.range_bias_m = 0.0;
-  pure.pattern_m.setZero();
-  return measure_range(surface, core, row, pure, chart);
-}
-
 }  // namespace groma::filter

@@ -26,9 +26,4 @@ struct RangeMeasurement {
                                              const model::OdometrySample& row, const PairParameters& pair,
                                              int chart = 0) noexcept;
 
-// The pure distance of the original model, equation (4): neutral terms, no slow range bias, no pattern.
-[[nodiscard]] RangeMeasurement measure_distance(const model::Surface& surface, const CoreVector& core,
-                                                const model::OdometrySample& row, const PairParameters& pair,
-                                                int chart = 0) noexcept;
-
 }  // namespace groma::filter

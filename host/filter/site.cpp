@@ -70,6 +70,13 @@ PairParameters Site::pair(int index, int tag) const noexcept {
           .pattern_m = pattern_m(tag)};
 }
 
+PairParameters without_biases(PairParameters pair) noexcept {
+  pair.terms = model::each_term([](const model::PairTerm& term) { return term.neutral; });
+  pair.range_bias_m = 0.0;
+  pair.pattern_m.setZero();
+  return pair;
+}
+
 Parameters::Parameters(const Site& site, int capacity)
     : Layout(std::min({site.anchor_count(), capacity, kMaxAnchors}), site.tag_count()) {
   values_.setZero(size());
@@ -96,6 +103,12 @@ PairParameters Parameters::pair(const Site& site, int slot, int tag) const noexc
           .frame = values_.segment<kFrameSize>(frame()),
           .pattern_m = site.pattern_m(tag),
           .ground = values_.segment<kGroundSize>(ground())};
+}
+
+int Parameters::slot_of(int index) const noexcept {
+  const auto end = active_.begin() + anchor_count();
+  const auto found = std::find(active_.begin(), end, index);
+  return found == end ? -1 : static_cast<int>(found - active_.begin());
 }
 
 void Parameters::exchange(int slot, int index, const AnchorVector& values) noexcept {

@@ -26,6 +26,8 @@ struct PairParameters {
   model::PatternTerms pattern_m = model::PatternTerms::Zero();
   Eigen::Vector3d ground = Eigen::Vector3d::Zero();  // deviation from the surface: height (m), dS/dx, dS/dy
 };
+// Those of the original model's pure distance, equation (4): neutral terms, no slow range bias, no pattern.
+[[nodiscard]] PairParameters without_biases(PairParameters pair) noexcept;
 
 struct SiteAnchor {
   model::NodeId id = 0;
@@ -130,6 +132,8 @@ class Parameters : public Layout {
 
   // Index in Site of the anchor in a slot.
   [[nodiscard]] int anchor_in(int slot) const noexcept { return active_[static_cast<std::size_t>(slot)]; }
+  // Slot of an anchor of the site; -1 if it is not active.
+  [[nodiscard]] int slot_of(int index) const noexcept;
 
   [[nodiscard]] const ParameterVector& values() const noexcept { return values_; }
   [[nodiscard]] ParameterVector& values() noexcept { return values_; }

@@ -63,13 +63,9 @@ double cost(std::span<const View> views, const Eigen::Vector2d& displacement_m) 
 }  // namespace
 
 void SlipWatch::fade(Sums& sums, double until_s) noexcept {
-  const double left = std::exp(-std::max(until_s - sums.t_s, 0.0) / kWindow_s);
+  const double left = fading(sums.t_s, until_s, kWindow_s);
   sums.t_s = until_s;
-  sums.n *= left;
-  sums.w *= left;
-  sums.off *= left;
-  sums.x *= left;
-  sums.y *= left;
+  for (double* sum : {&sums.n, &sums.w, &sums.off, &sums.x, &sums.y}) *sum *= left;
 }
 
 std::optional<Eigen::Vector2d> SlipWatch::observe(int anchor, int tag, double t_s, double innovation_m,

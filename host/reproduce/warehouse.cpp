@@ -110,7 +110,7 @@ Json anchor_curves(const Warehouse& site, filter::Model model) {
     const filter::Filter& filter = tracker.filter().filter();
     for (const model::Anchor& anchor : site.anchors) {
       const int index = filter.site().anchor_index(anchor.id);
-      const int slot = index < 0 ? -1 : filter.slot_of(index);
+      const int slot = index < 0 ? -1 : filter.parameters().slot_of(index);
       if (slot < 0) continue;
       const Eigen::Vector3d at = filter.parameters().values().segment<3>(filter.parameters().position(slot));
       out.push_back({sample.t_s, anchor.id, (at - anchor.position_m).norm()});

@@ -275,11 +275,11 @@ TEST(ActiveSet, AnAnchorComesBackWithItsEstimate) {
     begin(truth, *filter);
     // The variance of the fifth anchor: at first, when it is removed, and when it is active again.
     constexpr int kAnchor = 4;
-    const int slot = filter->slot_of(kAnchor);
+    const int slot = filter->parameters().slot_of(kAnchor);
     ASSERT_EQ(slot, kAnchor);
     const auto variance = [&] {
       const Parameters& parameters = filter->parameters();
-      const int x = parameters.position(filter->slot_of(kAnchor));
+      const int x = parameters.position(filter->parameters().slot_of(kAnchor));
       return filter->covariance().parameters(filter->site(), parameters)(x, x);
     };
     const double before = variance();
@@ -287,16 +287,16 @@ TEST(ActiveSet, AnAnchorComesBackWithItsEstimate) {
     double back = 0.0;
     std::size_t row = 0;
     for (; row < truth.odometry.size() && back == 0.0; ++row) {
-      const bool was_active = filter->slot_of(kAnchor) >= 0;
+      const bool was_active = filter->parameters().slot_of(kAnchor) >= 0;
       if (was_active) estimated = variance();
       feed(truth, row, row + 1, *filter, kNothing);
-      if (!was_active && filter->slot_of(kAnchor) >= 0) back = variance();
+      if (!was_active && filter->parameters().slot_of(kAnchor) >= 0) back = variance();
     }
     ASSERT_GT(back, 0.0);
     EXPECT_LT(estimated, 0.1 * before);
     EXPECT_LT(back, 1.2 * estimated);
     const Parameters& parameters = filter->parameters();
-    const int first = parameters.position(filter->slot_of(kAnchor));
+    const int first = parameters.position(filter->parameters().slot_of(kAnchor));
     const Eigen::Vector3d e = parameters.values().segment<3>(first) + parameters.values().head<3>() +
                               parameters.values()(3) * Eigen::Vector3d(-parameters.values()(first + 1),
                                                                        parameters.values()(first), 0.0) -
@@ -345,23 +345,23 @@ TEST(ActiveSet, AnAbsentAnchorFollowsTheCommonParameters) {
   };
   range({0, 1, 2}, 0.2);
   range({1, 2}, 1.5);
-  ASSERT_GE(filter->slot_of(0), 0);
+  ASSERT_GE(filter->parameters().slot_of(0), 0);
   const Parameters left = filter->parameters();
   const Eigen::MatrixXd p = filter->covariance().parameters(filter->site(), left);
-  const int first = left.position(filter->slot_of(0));
+  const int first = left.position(filter->parameters().slot_of(0));
   const int size = left.anchor_size() - 1;  // without the slow range bias
   const int common = left.common_size();
   const Eigen::MatrixXd regression =
       p.block(first, 0, size, common) * p.topLeftCorner(common, common).inverse();
   range({3, 2}, 2.0);
-  ASSERT_EQ(filter->slot_of(0), -1);
+  ASSERT_EQ(filter->parameters().slot_of(0), -1);
   // A range far off makes it active again and corrects nothing.
   ASSERT_EQ(filter->process(model::RangeSample{t_s, 1, calibration.anchors[0].id, 900.0}).outcome,
             RangeOutcome::kGated);
-  ASSERT_GE(filter->slot_of(0), 0);
+  ASSERT_GE(filter->parameters().slot_of(0), 0);
   const Parameters& now = filter->parameters();
-  const Eigen::VectorXd change =
-      now.values().segment(now.position(filter->slot_of(0)), size) - left.values().segment(first, size);
+  const Eigen::VectorXd change = now.values().segment(now.position(filter->parameters().slot_of(0)), size) -
+                                 left.values().segment(first, size);
   const Eigen::VectorXd expected = regression * (now.values().head(common) - left.values().head(common));
   EXPECT_GT(expected.norm(), 1e-3);
   EXPECT_LT((change - expected).norm(), 1e-7);

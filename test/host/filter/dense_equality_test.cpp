@@ -112,8 +112,7 @@ class DenseFilter {
     const PairParameters pair = parameters_.pair(site_, anchor, tag);
     const PairIndices index = parameters_.pair_indices(anchor, tag);
     const bool pure = config_.model == Model::kOriginal;
-    const RangeMeasurement m =
-        pure ? measure_distance(surface_, core(), row_, pair) : measure_range(surface_, core(), row_, pair);
+    const RangeMeasurement m = measure_range(surface_, core(), row_, pure ? without_biases(pair) : pair);
     Eigen::RowVectorXd h = Eigen::RowVectorXd::Zero(x_.size());
     h.head<kCoreSize>() = m.d_core;
     Eigen::RowVectorXd j = Eigen::RowVectorXd::Zero(x_.size());
