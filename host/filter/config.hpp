@@ -109,10 +109,7 @@ struct Config {
   double odometry_delay_sigma_s = 0.0;  // of the odometry's delay, whose mean is 0; 0: no delay
   // Number of active anchors, at most kMaxAnchors.
   int active_anchors = kMaxAnchors;
-  double silent_s = 1.0;     // an anchor silent for this long may be replaced. By hand; ActiveSet.*
-  double min_range_m = 0.0;  // exclusive; a distance is positive
-  // By hand: far beyond the size of a site.
-  double max_range_m = 1000.0;
+  double silent_s = 1.0;  // an anchor silent for this long may be replaced. By hand; ActiveSet.*
 
   bool tunes_noise = true;  // of ranges and odometry: see self_tuning.hpp
   // What wheels can push: see OdometryWatch. Physics: 0.8 g, a friction coefficient of 0.8.

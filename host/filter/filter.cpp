@@ -21,12 +21,6 @@ constexpr double kNoAnswerYet_s = -std::numeric_limits<double>::infinity();
 using model::Mechanism;
 using model::square;
 
-EstimatedParameters estimated(Model model) noexcept {
-  if (model == Model::kJoint) return EstimatedParameters::kAll;
-  if (model == Model::kAnchorStates) return EstimatedParameters::kPositions;
-  return EstimatedParameters::kNothing;
-}
-
 // Adapts the calibration to another drive than the one it was estimated from.
 model::Calibration on_another_drive(model::Calibration calibration, const Config& config) {
   if (model::is_ablated(Mechanism::kRangeBias) && calibration.range_noise) {
@@ -60,7 +54,7 @@ Filter::Snapshot begin(const Site& site, const Config& config, double white_sigm
           SlipWatch(config.slip_odds),
           RangeTuning(white_sigma_m),
           SensorGate(),
-          JointCovariance(site, parameters, estimated(config.model))};
+          JointCovariance(site, parameters, config.model)};
 }
 
 }  // namespace
@@ -172,10 +166,7 @@ RangeResult Filter::process(const model::RangeSample& range) noexcept {
 }
 
 RangeOutcome Filter::admit(const model::RangeSample& range, PairPlace& pair) noexcept {
-  if (!std::isfinite(range.t_s) || !(range.range_m > config_.min_range_m) ||
-      !(range.range_m <= config_.max_range_m)) {
-    return RangeOutcome::kBadValue;
-  }
+  if (!is_usable(range)) return RangeOutcome::kBadValue;
   if (config_.model == Model::kOdometry) return RangeOutcome::kNotModelled;
   pair.tag = site_.tag_slot(range.tag_id);
   if (pair.tag < 0) return RangeOutcome::kUnknownTag;
@@ -365,8 +356,7 @@ void Filter::exchange(int slot, int anchor) noexcept {
   now_.covariance.marginalize(now_.parameters, slot, left);
   left.left = number;
   left.t_s = now_.t_s;
-  record.absence = now_.covariance.absence();
-  now_.covariance.begin_absence();
+  record.absence = now_.covariance.take_absence();
 
   AnchorMemory back = memories_[static_cast<std::size_t>(anchor)];
   if (back.was_active && back.cross.size() > 0) {
@@ -404,12 +394,9 @@ Filter::Prediction Filter::prediction() const noexcept {
 
 void Filter::carry(Prediction& prediction, const MotionInput& input) const noexcept {
   MotionState& then = prediction.motion;
-  DeadReckoning<CoreCovariance> motion{surface_,
-                                       config_,
-                                       range_bias_time_s_,
-                                       prediction.by_odometry_alone ? nullptr : &now_.gate,
-                                       then,
-                                       prediction.covariance};
+  const Gate* const gate = prediction.by_odometry_alone ? nullptr : &now_.gate;
+  DeadReckoning<CoreCovariance> motion{surface_, config_, range_bias_time_s_,
+                                       gate,     then,    prediction.covariance};
   if (const auto* sample = std::get_if<model::OdometrySample>(&input)) {
     if (!model::is_finite(*sample) || (then.has_sample && !(sample->t_s > then.odometry.t_s))) return;
     if (sample->t_s > then.t_s) motion.advance_to(sample->t_s);

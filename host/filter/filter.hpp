@@ -248,7 +248,7 @@ class Filter {
   struct Exchange {
     int left = 0;  // index of the anchor that was removed
     AnchorMemory before;
-    CoreMatrix absence;  // JointCovariance::absence() from the previous exchange to this one
+    CoreMatrix absence;  // JointCovariance::take_absence() from the previous exchange to this one
   };
   [[nodiscard]] Exchange& at(std::size_t exchange) noexcept { return exchanges_[exchange % kMaxExchanges]; }
 

@@ -24,18 +24,6 @@ namespace {
 // the stored values are then 1e6 times the true ones, with ten digits left.
 constexpr double kFaded = 1e-3;
 
-template <class Block>
-using RowsMap = Eigen::Map<Block, Eigen::Aligned16, Eigen::OuterStride<kCrossStride>>;
-using CrossBlock = Eigen::Matrix<double, Eigen::Dynamic, kCoreSize>;
-
-RowsMap<CrossBlock> rows_of(double* cross, int rows = kCrossStride) noexcept {
-  return {cross, rows, kCoreSize, {}};
-}
-
-RowsMap<const CrossBlock> rows_of(const double* cross) noexcept {
-  return {cross, kCrossStride, kCoreSize, {}};
-}
-
 // All columns begin at a multiple of 64 bytes.
 double* aligned(double* at) noexcept {
   return static_cast<double*>(__builtin_assume_aligned(at, 64));
@@ -184,23 +172,22 @@ void CoreCovariance::renew_ground(const Eigen::Vector3d& variances) noexcept {
   ground_variances_ = variances;
 }
 
-JointCovariance::JointCovariance(const Site& site, const Parameters& parameters,
-                                 EstimatedParameters estimated)
-    : estimated_(estimated),
+JointCovariance::JointCovariance(const Site& site, const Parameters& parameters, Model model)
+    : model_(model),
       layout_(parameters),
       size_(parameters.size()),
       stride_(padded(size_)),
-      lever_arm_variance_m2_(site.lever_arm_variance_m2()),
-      range_bias_variance_m2_(site.range_bias_variance_m2()),
-      frame_covariance_(site.frame_covariance()) {
-  if (estimated == EstimatedParameters::kNothing) {
+      lever_arm_variance_m2_(site.lever_arm_variance_m2),
+      range_bias_variance_m2_(site.range_bias_variance_m2),
+      frame_covariance_(site.frame_covariance) {
+  if (model != Model::kJoint && model != Model::kAnchorStates) {
     absent_rows_ = site.anchor_count() > layout_.anchor_count() ? kCoreSize : 0;
-    begin_absence();
+    take_absence();
     return;
   }
   lower_.resize(static_cast<std::size_t>(stride_ / kKernelStep) * static_cast<std::size_t>(stride_));
   set_prior(site, parameters, Eigen::Map<Eigen::MatrixXd>(lower_data(), stride_, stride_));
-  if (estimated == EstimatedParameters::kAll) std::fill_n(estimates_.begin(), layout_.common_size(), 1.0);
+  if (model == Model::kJoint) estimates_.head(layout_.common_size()).setOnes();
   for (int slot = 0; slot < layout_.anchor_count(); ++slot) {
     set_estimated(slot, site.anchor(parameters.anchor_in(slot)).is_estimated);
   }
@@ -220,17 +207,16 @@ void JointCovariance::set_prior(const Site& site, const Parameters& parameters,
 }
 
 void JointCovariance::set_estimated(int slot, bool is_estimated) noexcept {
-  double* const own = estimates_.data() + layout_.position(slot);
-  std::fill_n(own, layout_.anchor_size(), 0.0);
-  if (is_estimated)
-    std::fill_n(own, estimated_ == EstimatedParameters::kAll ? layout_.anchor_size() - 1 : 3, 1.0);
+  auto own = estimates_.segment(layout_.position(slot), layout_.anchor_size());
+  own.setZero();
+  if (is_estimated) own.head(model_ == Model::kJoint ? own.size() - 1 : 3).setOnes();
   // The slow range bias's variance is always range_bias_variance_m2_ and is stored there.
   lower(layout_.range_bias(slot), layout_.range_bias(slot)) = 0.0;
 }
 
 void JointCovariance::reset_core(const CoreMatrix& covariance) noexcept {
   core_ = covariance;
-  cross_.fill(0.0);
+  cross_.setZero();
   moved_ = false;
   same_sample_ = true;
   motion_.setIdentity();
@@ -250,7 +236,7 @@ void JointCovariance::renew(CoreIndex index, double variance) noexcept {
   core_.row(index).setZero();
   core_.col(index).setZero();
   core_(index, index) = variance;
-  std::fill_n(cross_.begin() + static_cast<std::ptrdiff_t>(index) * kCrossStride, kCrossStride, 0.0);
+  cross_.col(index).setZero();
 }
 
 void JointCovariance::propagate(const PoseRows& f) noexcept {
@@ -268,7 +254,7 @@ void JointCovariance::propagate(const PoseRows& f) noexcept {
 void JointCovariance::settle_motion() noexcept {
   if (!moved_) return;
   move_cross(cross_.data(), rows(), motion_);
-  if (!same_sample_) std::fill(cross_.begin() + kOdometryVx * kCrossStride, cross_.end(), 0.0);
+  if (!same_sample_) cross_.rightCols<3>().setZero();
   motion_.setIdentity();
   moved_ = false;
   same_sample_ = true;
@@ -291,8 +277,8 @@ void JointCovariance::fade_ground(double factor) noexcept {
 }
 
 void JointCovariance::scale_cross(int parameter, double factor) noexcept {
-  rows_of(cross_.data()).row(parameter) *= factor;
-  if (estimated_ == EstimatedParameters::kNothing) return;
+  cross_.row(parameter) *= factor;
+  if (considers_all()) return;
   for (int i = 0; i < parameter; ++i) lower(parameter, i) *= factor;
   for (int i = parameter + 1; i < size_; ++i) lower(i, parameter) *= factor;
 }
@@ -303,7 +289,7 @@ void JointCovariance::settle_ground() noexcept {
 }
 
 GroundRows JointCovariance::ground_cross() const noexcept {
-  const GroundRows before = rows_of(cross_.data()).middleRows<kGroundSize>(layout_.ground()) * ground_scale_;
+  const GroundRows before = cross_.middleRows<kGroundSize>(layout_.ground()) * ground_scale_;
   GroundRows out = before;
   if (!moved_) return out;
   out.leftCols<3>() = before.lazyProduct(motion_.transpose());
@@ -331,29 +317,25 @@ double JointCovariance::project_core(const CoreRow& d_core, CoreVector& out) con
 }
 
 void JointCovariance::own_of_considered(const RangeMeasurement& measurement, const PairPlace& pair,
-                                        double* own) const noexcept {
+                                        PaddedVector& own) const noexcept {
   const auto& d = measurement.d_parameters;
   const AnchorMatrix& block = pair.anchor->covariance;
   const int size = layout_.anchor_size() - 1;
   const auto index = model::pair_indices(pair.tag, layout_.tag_count());
-  double* const anchor = own + layout_.position(pair.slot);
-  for (int i = 0; i < size; ++i) {
-    double sum = block(i, 0) * d(0);
-    for (int k = 1; k < model::kPairSize; ++k) sum += block(i, index[static_cast<std::size_t>(k)]) * d(k);
-    anchor[i] = sum;
-  }
-  anchor[size] = range_bias_variance_m2_ * d(kOfRangeBias) / range_bias_scale_;
-  double* const lever_arm = own + layout_.lever_arm(pair.tag);
-  for (int i = 0; i < 3; ++i) lever_arm[i] = lever_arm_variance_m2_ * d(kOfLeverArm + i);
-  const Eigen::Vector4d frame = frame_covariance_ * d.segment<kFrameSize>(kOfFrame).transpose();
-  for (int i = 0; i < kFrameSize; ++i) own[layout_.frame() + i] = frame(i);
-  for (int i = 0; i < kGroundSize; ++i) {
-    own[layout_.ground() + i] = ground_variances_(i) * d(kOfGround + i) / ground_scale_;
-  }
+  auto anchor = own.segment(layout_.position(pair.slot), size);
+  anchor = block.col(0).head(size) * d(0);
+  for (int k = 1; k < model::kPairSize; ++k)
+    anchor += block.col(index[static_cast<std::size_t>(k)]).head(size) * d(k);
+  own(layout_.range_bias(pair.slot)) = range_bias_variance_m2_ * d(kOfRangeBias) / range_bias_scale_;
+  own.segment<3>(layout_.lever_arm(pair.tag)) =
+      lever_arm_variance_m2_ * d.segment<3>(kOfLeverArm).transpose();
+  own.segment<kFrameSize>(layout_.frame()) = frame_covariance_ * d.segment<kFrameSize>(kOfFrame).transpose();
+  own.segment<kGroundSize>(layout_.ground()) =
+      ground_variances_.cwiseProduct(d.tail<kGroundSize>().transpose()) / ground_scale_;
 }
 
 void JointCovariance::own_of_estimated(const RangeMeasurement& measurement, const PairPlace& pair,
-                                       double* own) const noexcept {
+                                       PaddedVector& own) const noexcept {
   const auto d = stored(measurement);
   std::array<double, kMaxAnchorSize> of_anchor{};
   const double* by = d.data();
@@ -361,35 +343,32 @@ void JointCovariance::own_of_estimated(const RangeMeasurement& measurement, cons
     of_anchor[static_cast<std::size_t>(index)] = *by++;
   of_anchor[static_cast<std::size_t>(layout_.anchor_size() - 1)] = d(kOfRangeBias);
   const auto add = [&](int first, int count, const double* w) {
-    add_columns(lower_data(), stride_, size_, first, count, w, own);
+    add_columns(lower_data(), stride_, size_, first, count, w, own.data());
     for (int i = 0; i < count; ++i) {
       for (int k = 0; k < count; ++k)
-        own[first + i] += w[k] * lower(first + std::max(i, k), first + std::min(i, k));
+        own(first + i) += w[k] * lower(first + std::max(i, k), first + std::min(i, k));
     }
   };
   add(layout_.frame(), kFrameSize, d.data() + kOfFrame);
   add(layout_.lever_arm(pair.tag), 3, d.data() + kOfLeverArm);
   add(layout_.position(pair.slot), layout_.anchor_size(), of_anchor.data());
-  own[layout_.range_bias(pair.slot)] +=
+  own(layout_.range_bias(pair.slot)) +=
       range_bias_variance_m2_ * measurement.d_parameters(kOfRangeBias) / range_bias_scale_;
   if (!has_ground()) return;
   add(layout_.ground(), kGroundSize, d.data() + kOfGround);
-  for (int i = 0; i < kGroundSize; ++i) {
-    own[layout_.ground() + i] +=
-        ground_variances_(i) * measurement.d_parameters(kOfGround + i) / ground_scale_;
-  }
+  own.segment<kGroundSize>(layout_.ground()) +=
+      ground_variances_.cwiseProduct(measurement.d_parameters.tail<kGroundSize>().transpose()) /
+      ground_scale_;
 }
 
 double JointCovariance::parameter_variance(const RangeMeasurement& measurement,
                                            const PairPlace& pair) const noexcept {
-  std::array<double, kMaxParameters> own{};
-  own_of_considered(measurement, pair, own.data());
+  PaddedVector own;
+  own_of_considered(measurement, pair, own);
   const PairIndices index = layout_.pair_indices(pair.slot, pair.tag);
   const auto d = stored(measurement);
   double variance = 0.0;
-  for (int i = 0; i < kPairParameters; ++i) {
-    variance += d(i) * own[static_cast<std::size_t>(index[static_cast<std::size_t>(i)])];
-  }
+  for (int i = 0; i < kPairParameters; ++i) variance += d(i) * own(index[static_cast<std::size_t>(i)]);
   return variance;
 }
 
@@ -404,11 +383,11 @@ Eigen::Matrix<double, 1, kPairParameters> JointCovariance::stored(
 void JointCovariance::project(const RangeMeasurement& measurement, const PairPlace& pair,
                               Projected& out) noexcept {
   settle_motion();
-  std::fill_n(out.own.begin(), padded(rows()), 0.0);
-  if (estimated_ == EstimatedParameters::kNothing) {
-    own_of_considered(measurement, pair, out.own.data());
+  out.own.head(padded(rows())).setZero();
+  if (considers_all()) {
+    own_of_considered(measurement, pair, out.own);
   } else {
-    own_of_estimated(measurement, pair, out.own.data());
+    own_of_estimated(measurement, pair, out.own);
   }
   const PairIndices index = layout_.pair_indices(pair.slot, pair.tag);
   const auto d = stored(measurement);
@@ -417,9 +396,8 @@ void JointCovariance::project(const RangeMeasurement& measurement, const PairPla
   const int count = has_ground() ? kPairParameters : kOfGround;
   for (int i = 0; i < count; ++i) {
     const int row = index[static_cast<std::size_t>(i)];
-    own += d(i) * out.own[static_cast<std::size_t>(row)];
-    for (int k = 0; k < kCoreSize; ++k)
-      by_pair(k) += d(i) * cross_[static_cast<std::size_t>(row + k * kCrossStride)];
+    own += d(i) * out.own(row);
+    for (int k = 0; k < kCoreSize; ++k) by_pair(k) += d(i) * cross_(row, k);
   }
   out.core = core_.lazyProduct(measurement.d_core.transpose());
   out.variance = measurement.d_core.dot(out.core) + 2.0 * measurement.d_core.dot(by_pair) + own;
@@ -428,7 +406,7 @@ void JointCovariance::project(const RangeMeasurement& measurement, const PairPla
 
 void JointCovariance::project(const CoreRow& d_core, Projected& out) noexcept {
   settle_motion();
-  std::fill_n(out.own.begin(), padded(rows()), 0.0);
+  out.own.head(padded(rows())).setZero();
   out.variance = project_core(d_core, out.core);
 }
 
@@ -441,29 +419,24 @@ void JointCovariance::correct_core(const CoreVector& ph, double variance) noexce
 void JointCovariance::correct(const CoreRow& d_core, Projected& projected, double variance, double innovation,
                               ParameterVector& values) noexcept {
   correct_core(projected.core, variance);
-  double* const q = projected.own.data();
-  correct_cross(cross_.data(), rows(), d_core.transpose(), projected.core / variance, q);
-  if (estimated_ == EstimatedParameters::kNothing) return;
+  PaddedVector& q = projected.own;
+  correct_cross(cross_.data(), rows(), d_core.transpose(), projected.core / variance, q.data());
+  if (considers_all()) return;
 
   const double gain = innovation / variance;
-  const double root = 1.0 / std::sqrt(variance);
-  for (int i = 0; i < size_; ++i) {
-    values(i) += estimates_[static_cast<std::size_t>(i)] * q[i] * gain;
-    q[i] *= root;
-  }
-  alignas(64) std::array<double, static_cast<std::size_t>(kCrossStride)> masked;
-  for (int i = 0; i < stride_; ++i)
-    masked[static_cast<std::size_t>(i)] = estimates_[static_cast<std::size_t>(i)] * q[i];
-  subtract_square(lower_data(), stride_, size_, q, masked.data(), estimates_.data());
+  values += estimates_.head(size_).cwiseProduct(q.head(size_)) * gain;
+  q.head(size_) *= 1.0 / std::sqrt(variance);
+  alignas(64) PaddedVector masked;
+  masked.head(stride_) = estimates_.head(stride_).cwiseProduct(q.head(stride_));
+  subtract_square(lower_data(), stride_, size_, q.data(), masked.data(), estimates_.data());
 }
 
-CoreMatrix JointCovariance::absence() noexcept {
+CoreMatrix JointCovariance::take_absence() noexcept {
   settle_motion();
-  return rows_of(cross_.data()).middleRows<kCoreSize>(size_);
-}
-
-void JointCovariance::begin_absence() noexcept {
-  if (absent_rows_ > 0) rows_of(cross_.data()).middleRows<kCoreSize>(size_).setIdentity();
+  auto rows = cross_.middleRows<kCoreSize>(size_);
+  const CoreMatrix absence = rows;
+  if (absent_rows_ > 0) rows.setIdentity();
+  return absence;
 }
 
 template <class Block>
@@ -482,8 +455,8 @@ void JointCovariance::marginalize(const Parameters& parameters, int slot, Anchor
   const int size = layout_.anchor_size();
   const int common = layout_.common_size();
   memory.was_active = true;
-  if (estimated_ == EstimatedParameters::kNothing) {
-    memory.cross = rows_of(cross_.data()).middleRows(first, size);
+  if (considers_all()) {
+    memory.cross = cross_.middleRows(first, size);
     return;
   }
   // The anchor's covariance given the common parameters, and its regression on them, scaled to unit
@@ -517,12 +490,11 @@ void JointCovariance::augment(const SiteAnchor& anchor, int slot, const AnchorMe
   const int first = layout_.position(slot);
   const int size = layout_.anchor_size();
   const int common = layout_.common_size();
-  RowsMap<CrossBlock> cross = rows_of(cross_.data());
-  auto own_cross = cross.middleRows(first, size);
+  auto own_cross = cross_.middleRows(first, size);
   own_cross.setZero();
-  if (estimated_ == EstimatedParameters::kNothing) {
+  if (considers_all()) {
     if (memory.was_active) own_cross = memory.cross;
-    cross.row(first + size - 1) *= faded;
+    cross_.row(first + size - 1) *= faded;
     return;
   }
   const auto write = [&](int j, const AnchorVector& column) {
@@ -534,7 +506,7 @@ void JointCovariance::augment(const SiteAnchor& anchor, int slot, const AnchorMe
     // It is correlated with the others through the common parameters only.
     const auto& by = memory.by_common;
     parameters.values().segment(first, size) += by * (parameters.values().head(common) - memory.common);
-    own_cross = by.lazyProduct(cross.topRows(common));
+    own_cross = by.lazyProduct(cross_.topRows(common));
     CommonVector column(common);
     for (int j = 0; j < size_; ++j) {
       if (j >= first && j < first + size) continue;
@@ -556,12 +528,12 @@ Eigen::MatrixXd JointCovariance::cross() const {
   settled.settle_motion();
   settled.settle_range_biases();
   settled.settle_ground();
-  return rows_of(settled.cross_.data(), size_);
+  return settled.cross_.topRows(size_);
 }
 
 Eigen::MatrixXd JointCovariance::parameters(const Site& site, const Parameters& parameters) const {
   Eigen::MatrixXd all = Eigen::MatrixXd::Zero(size_, size_);
-  if (estimated_ == EstimatedParameters::kNothing) {
+  if (considers_all()) {
     set_prior(site, parameters, all);
   } else {
     JointCovariance settled = *this;

@@ -11,6 +11,7 @@
 
 #include <Eigen/Core>
 
+#include "host/filter/config.hpp"
 #include "host/filter/range_measurement.hpp"
 #include "host/filter/site.hpp"
 #include "host/filter/state.hpp"
@@ -23,8 +24,9 @@ inline constexpr int kKernelStep = 8;  // doubles in 64 bytes, the width of AVX-
   return (size + kKernelStep - 1) / kKernelStep * kKernelStep;
 }
 // Column stride of the cross-covariance. Behind the parameters' rows there is room for the kCoreSize rows of
-// JointCovariance::absence().
-inline constexpr std::ptrdiff_t kCrossStride = padded(kMaxParameters + kCoreSize);
+// JointCovariance::take_absence().
+inline constexpr int kCrossStride = padded(kMaxParameters + kCoreSize);
+using PaddedVector = Eigen::Matrix<double, kCrossStride, 1>;
 
 using GroundRows = Eigen::Matrix<double, kGroundSize, kCoreSize>;
 
@@ -56,13 +58,6 @@ class CoreCovariance {
   Eigen::Vector3d ground_variances_;
 };
 
-// Which parameters an update estimates; the others are consider states.
-enum class EstimatedParameters {
-  kNothing,    // all are considered: their covariance stays block diagonal by anchor, tag and frame
-  kPositions,  // anchor positions are estimated, the others considered
-  kAll,
-};
-
 // The pair of a measurement: slot of the active anchor, tag, and the anchor as calibrated.
 struct PairPlace {
   int slot = 0;
@@ -75,7 +70,7 @@ struct Projected {
   CoreVector core;
   double variance = 0.0;
   // P_pp J^T, the contribution of the parameters' covariance block.
-  alignas(64) std::array<double, static_cast<std::size_t>(kCrossStride)> own;
+  alignas(64) PaddedVector own;
 };
 
 // What is stored of an anchor that was removed from the active set.
@@ -95,7 +90,9 @@ struct AnchorMemory {
 
 class JointCovariance {
  public:
-  JointCovariance(const Site& site, const Parameters& parameters, EstimatedParameters estimated);
+  // model: which parameters an update estimates. If all are considered (consider states), their covariance
+  // stays block diagonal by anchor, tag and frame.
+  JointCovariance(const Site& site, const Parameters& parameters, Model model);
 
   // Re-initializes the core's covariance, uncorrelated with the parameters.
   void reset_core(const CoreMatrix& covariance) noexcept;
@@ -146,12 +143,11 @@ class JointCovariance {
   void augment(const SiteAnchor& anchor, int slot, const AnchorMemory& memory, double faded,
                Parameters& parameters) noexcept;
   // If parameters are considered: the matrix by which, from the right, the cross-covariances of all inactive
-  // anchors with the core have changed since begin_absence().
-  [[nodiscard]] CoreMatrix absence() noexcept;
-  void begin_absence() noexcept;
+  // anchors with the core have changed since the last call.
+  CoreMatrix take_absence() noexcept;
 
   void archive(model::StateArchive& state) {
-    state(estimated_, layout_, size_, stride_, absent_rows_, lever_arm_variance_m2_, range_bias_variance_m2_,
+    state(model_, layout_, size_, stride_, absent_rows_, lever_arm_variance_m2_, range_bias_variance_m2_,
           frame_covariance_, core_, cross_, motion_, moved_, same_sample_, range_bias_scale_,
           ground_variances_, ground_scale_, lower_, estimates_);
   }
@@ -180,27 +176,29 @@ class JointCovariance {
   void scale_cross(int parameter, double factor) noexcept;
   void settle_range_biases() noexcept;
   void settle_ground() noexcept;
+  [[nodiscard]] bool considers_all() const noexcept { return lower_.empty(); }
   [[nodiscard]] bool has_ground() const noexcept { return !ground_variances_.isZero(0.0); }
   // Jacobian w.r.t. the stored parameters: slow range biases are stored in units of range_bias_scale_, the
   // ground's deviation in units of ground_scale_.
   [[nodiscard]] Eigen::Matrix<double, 1, kPairParameters> stored(
       const RangeMeasurement& measurement) const noexcept;
   void own_of_considered(const RangeMeasurement& measurement, const PairPlace& pair,
-                         double* own) const noexcept;
+                         PaddedVector& own) const noexcept;
   void own_of_estimated(const RangeMeasurement& measurement, const PairPlace& pair,
-                        double* own) const noexcept;
+                        PaddedVector& own) const noexcept;
 
-  EstimatedParameters estimated_;
+  Model model_;
   Layout layout_;
   int size_ = 0;
   int stride_ = 0;
-  int absent_rows_ = 0;  // rows of the cross-covariance behind the parameters': see absence()
+  int absent_rows_ = 0;  // rows of the cross-covariance behind the parameters': see take_absence()
   double lever_arm_variance_m2_ = 0.0;
   double range_bias_variance_m2_ = 0.0;
   Eigen::Matrix4d frame_covariance_;
 
   CoreMatrix core_ = CoreMatrix::Zero();
-  alignas(64) std::array<double, static_cast<std::size_t>(kCoreSize) * kCrossStride> cross_{};
+  alignas(64) Eigen::Matrix<double, kCrossStride, kCoreSize> cross_ =
+      Eigen::Matrix<double, kCrossStride, kCoreSize>::Zero();
   // Motion not yet applied to cross_: the pose's rows of F, and whether the odometry sample is still the
   // same.
   PoseRows motion_ = PoseRows::Identity();
@@ -212,7 +210,7 @@ class JointCovariance {
   // Covariance of the parameters, lower triangle by columns. Empty if all are considered.
   struct alignas(64) Line : std::array<double, kKernelStep> {};
   std::vector<Line> lower_;
-  alignas(64) std::array<double, static_cast<std::size_t>(kCrossStride)> estimates_{};  // 1: estimated
+  alignas(64) PaddedVector estimates_ = PaddedVector::Zero();  // 1: estimated
 };
 
 }  // namespace groma::filter

@@ -44,6 +44,12 @@ double time_of(const Input& input) noexcept {
   return model::visit(input, [](const auto& held) { return key_of(held).second[0]; });
 }
 
+template <class Input>
+bool is_finite(const Input& input) noexcept {
+  const SampleKey key = model::visit(input, [](const auto& held) { return key_of(held).second; });
+  return std::all_of(key.begin(), key.end(), [](double value) { return std::isfinite(value); });
+}
+
 // Order by time, kind, sensor and values.
 template <class Input>
 bool is_before(const Input& a, const Input& b) noexcept {
@@ -93,35 +99,20 @@ void OrderedFilter::begin(double newest_s) noexcept {
 }
 
 OdometryOutcome OrderedFilter::process(const OdometrySample& sample) noexcept {
-  // Values that are not finite cannot be ordered.
-  if (!model::is_finite(sample)) {
-    ++refused_.odometry[OdometryOutcome::kBadValue];
-    return OdometryOutcome::kBadValue;
-  }
   const Outcome outcome = insert(sample);
-  if (!outcome.taken) ++refused_.odometry[OdometryOutcome::kOutOfOrder];
+  if (!outcome.taken) ++refused_.odometry[outcome.odometry];
   return outcome.odometry;
 }
 
 RangeResult OrderedFilter::process(const RangeSample& range) noexcept {
-  if (!std::isfinite(range.t_s + range.range_m)) {
-    ++refused_.ranges[RangeOutcome::kBadValue];
-    return {.outcome = RangeOutcome::kBadValue};
-  }
   const Outcome outcome = insert(range);
-  if (!outcome.taken) ++refused_.ranges[RangeOutcome::kOutOfOrder];
+  if (!outcome.taken) ++refused_.ranges[outcome.range.outcome];
   return outcome.range;
 }
 
 SensorResult OrderedFilter::process(const model::SensorSample& sample) noexcept {
-  auto& refused = refused_.sensors[sample.index()];
-  const SampleKey key = key_of(sample).second;
-  if (!std::all_of(key.begin(), key.end(), [](double value) { return std::isfinite(value); })) {
-    ++refused[SensorOutcome::kBadValue];
-    return {.outcome = SensorOutcome::kBadValue};
-  }
   const Outcome outcome = insert(sample);
-  if (!outcome.taken) ++refused[SensorOutcome::kOutOfOrder];
+  if (!outcome.taken) ++refused_.sensors[sample.index()][outcome.sensor.outcome];
   return outcome.sensor;
 }
 
@@ -134,6 +125,12 @@ Counters OrderedFilter::counters() const noexcept {
 }
 
 OrderedFilter::Outcome OrderedFilter::insert(const Input& input) noexcept {
+  // Values that are not finite cannot be ordered.
+  if (!is_finite(input)) {
+    return {.odometry = OdometryOutcome::kBadValue,
+            .range = {.outcome = RangeOutcome::kBadValue},
+            .sensor = {.outcome = SensorOutcome::kBadValue}};
+  }
   const double t_s = time_of(input);
   if (t_s < newest_s_ - window_s_) return {};
   if (inputs_.size() == kMaxInputs) {

@@ -64,9 +64,11 @@ Eigen::Vector2d perpendicular(const Eigen::Vector2d& v) noexcept {
   return {-v.y(), v.x()};
 }
 
-Eigen::Vector2d sample_velocity(const CoreVector& core, const model::OdometrySample& sample) noexcept {
+// Of base_link in base_link: vx, vy (m/s) and yaw rate (rad/s).
+Eigen::Vector3d corrected(const CoreVector& core, const model::OdometrySample& sample) noexcept {
   return {(1.0 + core(kScale)) * sample.vx_mps - core(kOdometryVx),
-          (1.0 + core(kScale)) * sample.vy_mps - core(kOdometryVy)};
+          (1.0 + core(kScale)) * sample.vy_mps - core(kOdometryVy),
+          sample.omega_radps - core(kYawBias) - core(kOdometryOmega)};
 }
 
 }  // namespace
@@ -74,9 +76,10 @@ Eigen::Vector2d sample_velocity(const CoreVector& core, const model::OdometrySam
 Motion move(const model::Surface& surface, const CoreVector& core, const model::OdometrySample& sample,
             double dt_s, int chart) noexcept {
   const Eigen::Vector2d start = core.segment<2>(kX);
-  const Eigen::Vector2d v = sample_velocity(core, sample);
+  const Eigen::Vector3d velocity = corrected(core, sample);
+  const Eigen::Vector2d v = velocity.head<2>();
   const Eigen::Vector2d v_sample(sample.vx_mps, sample.vy_mps);
-  const double omega = sample.omega_radps - core(kYawBias) - core(kOdometryOmega);
+  const double omega = velocity.z();
 
   // Midpoint rule: the slope halfway is used for the whole step.
   const double half_s = 0.5 * dt_s;
@@ -128,21 +131,20 @@ Motion move(const model::Surface& surface, const CoreVector& core, const model::
 
 BodyVelocity body_velocity(const CoreVector& core, const model::OdometrySample& sample) noexcept {
   BodyVelocity out;
-  out.value << sample_velocity(core, sample), sample.omega_radps - core(kYawBias) - core(kOdometryOmega);
+  out.value = corrected(core, sample);
   out.d_core.setZero();
   out.d_core(0, kScale) = sample.vx_mps;
   out.d_core(1, kScale) = sample.vy_mps;
-  out.d_core(0, kOdometryVx) = -1.0;
-  out.d_core(1, kOdometryVy) = -1.0;
   out.d_core(2, kYawBias) = -1.0;
-  out.d_core(2, kOdometryOmega) = -1.0;
+  out.d_core.rightCols<3>().diagonal().setConstant(-1.0);
   return out;
 }
 
 Eigen::Vector3d pose_rate(const Eigen::Matrix2d& sideways, const CoreVector& core,
                           const model::OdometrySample& sample) noexcept {
-  const Eigen::Vector2d rate = sideways * sample_velocity(core, sample);
-  return {rate.x(), rate.y(), sample.omega_radps - core(kYawBias) - core(kOdometryOmega)};
+  Eigen::Vector3d rate = corrected(core, sample);
+  rate.head<2>() = sideways * rate.head<2>();
+  return rate;
 }
 
 }  // namespace groma::filter

@@ -2,6 +2,8 @@
 // and the parameters of the pair.
 #pragma once
 
+#include <cmath>
+
 #include <Eigen/Core>
 
 #include "host/filter/site.hpp"
@@ -10,6 +12,12 @@
 #include "host/model/types.hpp"
 
 namespace groma::filter {
+
+// Whether a range is finite and in bounds. By hand: far beyond the size of a site.
+inline constexpr double kMaxRange_m = 1000.0;
+[[nodiscard]] inline bool is_usable(const model::RangeSample& range) noexcept {
+  return std::isfinite(range.t_s) && range.range_m > 0.0 && range.range_m <= kMaxRange_m;
+}
 
 struct RangeMeasurement {
   double range_m = 0.0;                                    // predicted, z_n of (17)

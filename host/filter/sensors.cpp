@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "host/filter/propagation.hpp"
 #include "host/model/plausible.hpp"
 
 namespace groma::filter {
@@ -63,17 +64,11 @@ model::PlanarPose place_on(const model::Surface& surface, const model::PoseSampl
 }
 
 CoreMeasurement<3> measure(const SensorView& state, const model::ZeroVelocitySample& /*sample*/) noexcept {
-  const CoreVector& core = state.core;
-  const model::OdometrySample& sample = state.odometry;
-  const double scale = 1.0 + core(kScale);
+  const BodyVelocity velocity = body_velocity(state.core, state.odometry);
   CoreMeasurement<3> out;
-  out.innovation << core(kOdometryVx) - scale * sample.vx_mps, core(kOdometryVy) - scale * sample.vy_mps,
-      core(kYawBias) + core(kOdometryOmega) - sample.omega_radps;
-  out.d_core.setZero();
-  out.d_core(0, kScale) = sample.vx_mps;
-  out.d_core(1, kScale) = sample.vy_mps;
-  out.d_core(2, kYawBias) = -1.0;
-  out.d_core.rightCols<3>().diagonal().setConstant(-1.0);
+  out.innovation << -velocity.value.head<2>(),
+      state.core(kYawBias) + state.core(kOdometryOmega) - state.odometry.omega_radps;
+  out.d_core = velocity.d_core;
   const double variance_m2ps2 = square(state.config.standing_sigma_mps);
   out.noise =
       Eigen::Vector3d(variance_m2ps2, variance_m2ps2, square(state.config.standing_sigma_radps)).asDiagonal();

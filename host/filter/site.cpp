@@ -7,28 +7,26 @@
 namespace groma::filter {
 
 Site::Site(std::span<const model::Tag> tags, const model::Calibration& calibration, double lever_arm_sigma_m)
-    : lever_arm_variance_m2_(lever_arm_sigma_m * lever_arm_sigma_m),
-      frame_covariance_(model::is_ablated(model::Mechanism::kCommonFrame)
-                            ? Eigen::Matrix4d::Zero()
-                            : calibration.common_frame_covariance) {
-  lever_arms_m_.fill(Eigen::Vector3d::Zero());
-  patterns_m_.fill(model::PatternTerms::Zero());
+    : lever_arm_variance_m2(model::square(lever_arm_sigma_m)),
+      frame_covariance(model::is_ablated(model::Mechanism::kCommonFrame)
+                           ? Eigen::Matrix4d::Zero()
+                           : calibration.common_frame_covariance) {
+  lever_arms_m.fill(Eigen::Vector3d::Zero());
+  patterns_m.fill(model::PatternTerms::Zero());
   for (const model::Tag& tag : tags) {
-    if (tag_count_ == kMaxTags) break;
-    const auto slot = static_cast<std::size_t>(tag_count_++);
-    tag_ids_[slot] = tag.id;
-    lever_arms_m_[slot] = tag.lever_arm_m;
+    if (tag_count == kMaxTags) break;
+    const auto slot = static_cast<std::size_t>(tag_count++);
+    tag_ids[slot] = tag.id;
+    lever_arms_m[slot] = tag.lever_arm_m;
   }
   for (const model::TagCalibration& calibrated : calibration.tags) {
     const int tag = tag_slot(calibrated.id);
     if (tag < 0) continue;
-    if (calibrated.lever_arm) lever_arms_m_[static_cast<std::size_t>(tag)] = calibrated.lever_arm->position_m;
+    if (calibrated.lever_arm) lever_arms_m[static_cast<std::size_t>(tag)] = calibrated.lever_arm->position_m;
     if (calibrated.pattern_m && !model::is_ablated(model::Mechanism::kAntennaPattern))
-      patterns_m_[static_cast<std::size_t>(tag)] = *calibrated.pattern_m;
+      patterns_m[static_cast<std::size_t>(tag)] = *calibrated.pattern_m;
   }
-  if (calibration.range_noise) {
-    range_bias_variance_m2_ = calibration.range_noise->bias_sigma_m * calibration.range_noise->bias_sigma_m;
-  }
+  if (calibration.range_noise) range_bias_variance_m2 = model::square(calibration.range_noise->bias_sigma_m);
 
   const int size = anchor_size();
   for (const model::AnchorCalibration& calibrated : calibration.anchors) {
@@ -39,25 +37,25 @@ Site::Site(std::span<const model::Tag> tags, const model::Calibration& calibrati
     anchor.values.setZero(size);
     anchor.covariance.setZero(size, size);
     const Eigen::MatrixXd to =
-        model::selection(std::span(tag_ids_).first(static_cast<std::size_t>(tag_count_)), calibrated);
+        model::selection(std::span(tag_ids).first(static_cast<std::size_t>(tag_count)), calibrated);
     anchor.values.head(size - 1) = to * model::values_of(calibrated);
     // The common frame's error is a parameter of its own.
     anchor.covariance.topLeftCorner(size - 1, size - 1) =
-        to * model::own_covariance(calibrated, frame_covariance_) * to.transpose();
-    anchor.covariance(size - 1, size - 1) = range_bias_variance_m2_;
+        to * model::own_covariance(calibrated, frame_covariance) * to.transpose();
+    anchor.covariance(size - 1, size - 1) = range_bias_variance_m2;
     for (const model::PairBias& pair : calibrated.pairs) {
       const int tag = tag_slot(pair.tag_id);
       if (tag >= 0) anchor.knows_tag[static_cast<std::size_t>(tag)] = true;
     }
-    if (calibrated.id >= index_by_id_.size()) index_by_id_.resize(calibrated.id + std::size_t{1}, -1);
-    index_by_id_[calibrated.id] = anchor_count();
-    anchors_.push_back(anchor);
+    if (calibrated.id >= index_by_id.size()) index_by_id.resize(calibrated.id + std::size_t{1}, -1);
+    index_by_id[calibrated.id] = anchor_count();
+    anchors.push_back(anchor);
   }
 }
 
 int Site::tag_slot(model::NodeId id) const noexcept {
-  for (int slot = 0; slot < tag_count_; ++slot) {
-    if (tag_ids_[static_cast<std::size_t>(slot)] == id) return slot;
+  for (int slot = 0; slot < tag_count; ++slot) {
+    if (tag_ids[static_cast<std::size_t>(slot)] == id) return slot;
   }
   return -1;
 }
@@ -65,9 +63,9 @@ int Site::tag_slot(model::NodeId id) const noexcept {
 PairParameters Site::pair(int index, int tag) const noexcept {
   const AnchorVector& values = anchor(index).values;
   return {.position_m = values.head<3>(),
-          .terms = model::terms_of(values, tag, tag_count_),
-          .lever_arm_m = lever_arm_m(tag),
-          .pattern_m = pattern_m(tag)};
+          .terms = model::terms_of(values, tag, tag_count),
+          .lever_arm_m = lever_arms_m[static_cast<std::size_t>(tag)],
+          .pattern_m = patterns_m[static_cast<std::size_t>(tag)]};
 }
 
 PairParameters without_biases(PairParameters pair) noexcept {
@@ -78,9 +76,10 @@ PairParameters without_biases(PairParameters pair) noexcept {
 }
 
 Parameters::Parameters(const Site& site, int capacity)
-    : Layout(std::min({site.anchor_count(), capacity, kMaxAnchors}), site.tag_count()) {
+    : Layout(std::min({site.anchor_count(), capacity, kMaxAnchors}), site.tag_count) {
   values_.setZero(size());
-  for (int tag = 0; tag < tag_count(); ++tag) values_.segment<3>(lever_arm(tag)) = site.lever_arm_m(tag);
+  for (int tag = 0; tag < tag_count(); ++tag)
+    values_.segment<3>(lever_arm(tag)) = site.lever_arms_m[static_cast<std::size_t>(tag)];
   for (int slot = 0; slot < anchor_count(); ++slot) exchange(slot, slot, site.anchor(slot).values);
 }
 
@@ -101,7 +100,7 @@ PairParameters Parameters::pair(const Site& site, int slot, int tag) const noexc
           .range_bias_m = values_(range_bias(slot)),
           .lever_arm_m = values_.segment<3>(lever_arm(tag)),
           .frame = values_.segment<kFrameSize>(frame()),
-          .pattern_m = site.pattern_m(tag),
+          .pattern_m = site.patterns_m[static_cast<std::size_t>(tag)],
           .ground = values_.segment<kGroundSize>(ground())};
 }
 

@@ -38,54 +38,40 @@ struct SiteAnchor {
   AnchorMatrix covariance;
 };
 
-// All anchors of the site and the tags of the robot. Immutable.
-class Site {
- public:
+// All anchors of the site and the tags of the robot.
+struct Site {
   // Takes the first kMaxTags tags, and the anchors that have a finite position and a finite covariance of the
   // right size. The calibration's lever arms, if given, replace those of `tags`.
   Site(std::span<const model::Tag> tags, const model::Calibration& calibration, double lever_arm_sigma_m);
 
-  [[nodiscard]] int anchor_count() const noexcept { return static_cast<int>(anchors_.size()); }
-  [[nodiscard]] int tag_count() const noexcept { return tag_count_; }
-  [[nodiscard]] int anchor_size() const noexcept { return model::anchor_size(tag_count_) + 1; }
+  [[nodiscard]] int anchor_count() const noexcept { return static_cast<int>(anchors.size()); }
+  [[nodiscard]] int anchor_size() const noexcept { return model::anchor_size(tag_count) + 1; }
 
   // Index of an id; -1 if unknown.
   [[nodiscard]] int anchor_index(model::NodeId id) const noexcept {
-    return id < index_by_id_.size() ? index_by_id_[id] : -1;
+    return id < index_by_id.size() ? index_by_id[id] : -1;
   }
   [[nodiscard]] int tag_slot(model::NodeId id) const noexcept;
 
   [[nodiscard]] const SiteAnchor& anchor(int index) const noexcept {
-    return anchors_[static_cast<std::size_t>(index)];
+    return anchors[static_cast<std::size_t>(index)];
   }
   // Whether the calibration has this pair.
   [[nodiscard]] bool knows_pair(int index, int tag) const noexcept {
     return anchor(index).knows_tag[static_cast<std::size_t>(tag)];
   }
-  [[nodiscard]] const Eigen::Vector3d& lever_arm_m(int tag) const noexcept {
-    return lever_arms_m_[static_cast<std::size_t>(tag)];
-  }
-  // Antenna pattern of a tag; zero if the calibration has none.
-  [[nodiscard]] const model::PatternTerms& pattern_m(int tag) const noexcept {
-    return patterns_m_[static_cast<std::size_t>(tag)];
-  }
-  [[nodiscard]] double lever_arm_variance_m2() const noexcept { return lever_arm_variance_m2_; }
-  [[nodiscard]] const Eigen::Matrix4d& frame_covariance() const noexcept { return frame_covariance_; }
-  [[nodiscard]] double range_bias_variance_m2() const noexcept { return range_bias_variance_m2_; }
-
   // The parameters as calibrated.
   [[nodiscard]] PairParameters pair(int index, int tag) const noexcept;
 
- private:
-  std::vector<SiteAnchor> anchors_;
-  std::vector<int> index_by_id_;
-  std::array<model::NodeId, kMaxTags> tag_ids_{};
-  std::array<Eigen::Vector3d, kMaxTags> lever_arms_m_;
-  std::array<model::PatternTerms, kMaxTags> patterns_m_;
-  int tag_count_ = 0;
-  double lever_arm_variance_m2_;
-  Eigen::Matrix4d frame_covariance_;
-  double range_bias_variance_m2_ = 0.0;
+  std::vector<SiteAnchor> anchors;
+  std::vector<int> index_by_id;
+  int tag_count = 0;
+  std::array<model::NodeId, kMaxTags> tag_ids{};
+  std::array<Eigen::Vector3d, kMaxTags> lever_arms_m;
+  std::array<model::PatternTerms, kMaxTags> patterns_m;  // zero: the calibration has none
+  double lever_arm_variance_m2;
+  Eigen::Matrix4d frame_covariance;
+  double range_bias_variance_m2 = 0.0;
 };
 
 using ParameterVector = Bounded<kMaxParameters, 1>;

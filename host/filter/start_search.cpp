@@ -116,14 +116,13 @@ Eigen::Vector3d step_of(const model::OdometrySample& sample, double dt_s) noexce
 }
 
 constexpr auto kIsLikelier = [](const auto& a, const auto& b) { return a.cost < b.cost; };
-constexpr auto kIsLess = [](const auto& a, const auto& b) { return a.first < b.first; };
 
 // Derivatives w.r.t. a pair's parameters; by_anchor in the order of SiteAnchor::values.
 struct PairOf {
   PairOf(const Site& site, int tag, const RangeMeasurement& measurement)
       : by_anchor(AnchorVector::Zero(site.anchor_size())) {
     const auto& d = measurement.d_parameters;
-    by_anchor(model::pair_indices(tag, site.tag_count())) = d.head<model::kPairSize>().transpose();
+    by_anchor(model::pair_indices(tag, site.tag_count)) = d.head<model::kPairSize>().transpose();
     by_lever_arm = d.segment<3>(kOfLeverArm);
     by_frame = d.segment<kFrameSize>(kOfFrame);
     by_anchor(site.anchor_size() - 1) = d(kOfRangeBias);
@@ -168,7 +167,6 @@ StartSearch::StartSearch(model::Surface surface, std::span<const model::Tag> tag
   if (calibration.range_delay_sigma_s > 0.0) config_.range_delay_s = calibration.range_delay_s;
   shortest_.reserve(anchor_costs_.size());
   starts_.reserve(kRefined + 1);
-  rough_.reserve(kRefined);
   hypotheses_.reserve(kMaxHypotheses);
   clear();
 }
@@ -214,10 +212,7 @@ void StartSearch::process(const model::OdometrySample& sample) noexcept {
 }
 
 void StartSearch::process(const model::RangeSample& range) noexcept {
-  if (!std::isfinite(range.t_s) || range.t_s < t_s_ - kLatest_s || !(range.range_m > config_.min_range_m) ||
-      !(range.range_m <= config_.max_range_m)) {
-    return;
-  }
+  if (!is_usable(range) || range.t_s < t_s_ - kLatest_s) return;
   const int tag = site_.tag_slot(range.tag_id);
   const int anchor = site_.anchor_index(range.anchor_id);
   if (tag < 0 || anchor < 0 || !site_.knows_pair(anchor, tag)) return;
@@ -291,8 +286,8 @@ double StartSearch::variance_m2(const Seen& seen, const RangeMeasurement& predic
   const model::SurfaceMismatch& mismatch = surface_.mismatch(chart);
   return square(config_.range_sigma_m) + seen.drift_variance_m2 +
          pair.by_anchor.dot(site_.anchor(seen.anchor).covariance * pair.by_anchor) +
-         site_.lever_arm_variance_m2() * pair.by_lever_arm.squaredNorm() +
-         pair.by_frame.dot(site_.frame_covariance() * pair.by_frame) +
+         site_.lever_arm_variance_m2 * pair.by_lever_arm.squaredNorm() +
+         pair.by_frame.dot(site_.frame_covariance * pair.by_frame) +
          square(mismatch.sigma_m * pair.by_ground(0)) +
          square(mismatch.slope_sigma) * pair.by_ground.tail<2>().squaredNorm();
 }
@@ -377,20 +372,19 @@ StartSearch::Hypothesis StartSearch::refine(const model::PlanarPose& start, std:
 
 void StartSearch::refine_starts() noexcept {
   const std::size_t every = std::max<std::size_t>(1, count_ / kRoughRanges);
-  rough_.clear();
-  for (const auto& [cost, pose] : starts_) rough_.push_back(refine(pose, every, kRoughSteps));
-  std::sort(rough_.begin(), rough_.end(), kIsLikelier);
+  for (Hypothesis& start : starts_) start = refine(start.pose, every, kRoughSteps);
+  std::sort(starts_.begin(), starts_.end(), kIsLikelier);
   double least = std::numeric_limits<double>::infinity();
-  for (Hypothesis& end : rough_) {
-    end.cost *= static_cast<double>(every);
-    least = std::min(least, end.cost);
+  for (Hypothesis& start : starts_) {
+    start.cost *= static_cast<double>(every);
+    least = std::min(least, start.cost);
   }
   for (const Hypothesis& known : hypotheses_) least = std::min(least, known.cost);
   std::size_t refined = 0;
-  for (auto end = rough_.begin(); end != rough_.end() && refined < kMaxHypotheses; ++end) {
+  for (auto end = starts_.begin(); end != starts_.end() && refined < kMaxHypotheses; ++end) {
     if (!(end->cost < least + kRoughOdds)) break;
     const auto is_near = [&](const Hypothesis& other) { return is_same(end->pose, other.pose); };
-    if (std::any_of(rough_.begin(), end, is_near) ||
+    if (std::any_of(starts_.begin(), end, is_near) ||
         std::any_of(hypotheses_.begin(), hypotheses_.end(), is_near)) {
       continue;
     }
@@ -416,9 +410,9 @@ void StartSearch::add_calibration(Hypothesis& hypothesis) noexcept {
     by_lever_arm[static_cast<std::size_t>(seen.tag)].noalias() += correction * pair.by_lever_arm.transpose();
     by_frame.noalias() += correction * pair.by_frame.transpose();
   });
-  Eigen::Matrix3d spread = by_frame * site_.frame_covariance() * by_frame.transpose();
+  Eigen::Matrix3d spread = by_frame * site_.frame_covariance * by_frame.transpose();
   for (const Eigen::Matrix3d& by : by_lever_arm) {
-    spread.noalias() += site_.lever_arm_variance_m2() * by * by.transpose();
+    spread.noalias() += site_.lever_arm_variance_m2 * by * by.transpose();
   }
   for (std::size_t i = 0; i < count_; ++i) {
     const int anchor = seen(i).anchor;
@@ -466,17 +460,17 @@ void StartSearch::try_chart(int chart) noexcept {
       const Eigen::Vector3d pose = Frame(then).compose(to_now);
       // starts_ is a heap of the best so far, with the worst of them on top.
       const double most =
-          starts_.size() < kRefined ? std::numeric_limits<double>::infinity() : starts_.front().first;
+          starts_.size() < kRefined ? std::numeric_limits<double>::infinity() : starts_.front().cost;
       const double cost = coarse_cost(pose, chart, width_m, most);
       if (!(cost < most)) continue;
-      starts_.push_back({cost, {pose.x(), pose.y(), pose.z(), chart}});
-      std::push_heap(starts_.begin(), starts_.end(), kIsLess);
+      starts_.push_back({.pose = {pose.x(), pose.y(), pose.z(), chart}, .cost = cost});
+      std::push_heap(starts_.begin(), starts_.end(), kIsLikelier);
       if (starts_.size() <= kRefined) continue;
-      std::pop_heap(starts_.begin(), starts_.end(), kIsLess);
+      std::pop_heap(starts_.begin(), starts_.end(), kIsLikelier);
       starts_.pop_back();
     }
   }
-  std::sort_heap(starts_.begin(), starts_.end(), kIsLess);
+  std::sort_heap(starts_.begin(), starts_.end(), kIsLikelier);
   refine_starts();
 }
 
@@ -484,7 +478,7 @@ void StartSearch::try_mirrored() noexcept {
   starts_.clear();
   for (const Hypothesis& hypothesis : hypotheses_) {
     const model::PlanarPose& pose = hypothesis.pose;
-    starts_.push_back({0.0, {pose.x_m, pose.y_m, pose.theta_rad + std::numbers::pi, pose.chart}});
+    starts_.push_back({.pose = {pose.x_m, pose.y_m, pose.theta_rad + std::numbers::pi, pose.chart}});
     if (shortest_.size() < 2) continue;
     const Eigen::Vector2d a = site_.anchor(shortest_[0]->anchor).values.head<2>();
     const Eigen::Vector2d b = site_.anchor(shortest_[1]->anchor).values.head<2>();
@@ -492,7 +486,7 @@ void StartSearch::try_mirrored() noexcept {
     const Eigen::Vector2d from(pose.x_m - a.x(), pose.y_m - a.y());
     const Eigen::Vector2d axis(std::cos(along), std::sin(along));
     const Eigen::Vector2d mirrored = a + 2.0 * axis.dot(from) * axis - from;
-    starts_.push_back({0.0, {mirrored.x(), mirrored.y(), 2.0 * along - pose.theta_rad, pose.chart}});
+    starts_.push_back({.pose = {mirrored.x(), mirrored.y(), 2.0 * along - pose.theta_rad, pose.chart}});
   }
   refine_starts();
 }

@@ -146,12 +146,11 @@ class StartSearch {
   std::array<Seen, kMaxRanges> seen_;  // ring buffer
   std::size_t first_ = 0;
   std::size_t count_ = 0;
-  std::vector<double> last_taken_s_;                          // of each pair
-  std::vector<double> anchor_costs_;                          // scratch
-  std::vector<ByAnchor> by_anchor_;                           // scratch, zero between uses
-  std::vector<const Seen*> shortest_;                         // shortest of each anchor, nearest first
-  std::vector<std::pair<double, model::PlanarPose>> starts_;  // with their coarse costs
-  std::vector<Hypothesis> rough_;
+  std::vector<double> last_taken_s_;   // of each pair
+  std::vector<double> anchor_costs_;   // scratch
+  std::vector<ByAnchor> by_anchor_;    // scratch, zero between uses
+  std::vector<const Seen*> shortest_;  // shortest of each anchor, nearest first
+  std::vector<Hypothesis> starts_;     // candidates: with coarse costs, then roughly refined
   std::vector<Hypothesis> hypotheses_;
   Odometer now_;
   std::optional<model::OdometrySample> sample_;

@@ -137,9 +137,8 @@ TEST(Parameters, UseTheCalibrationsBlocksForTheGivenTags) {
   const Site site(tags, calibration, 0.01);
   const Parameters parameters(site);
   const Eigen::MatrixXd covariance =
-      JointCovariance(site, parameters, EstimatedParameters::kAll).parameters(site, parameters);
-  EXPECT_EQ(covariance,
-            JointCovariance(site, parameters, EstimatedParameters::kNothing).parameters(site, parameters));
+      JointCovariance(site, parameters, Model::kJoint).parameters(site, parameters);
+  EXPECT_EQ(covariance, JointCovariance(site, parameters, Model::kSchmidt).parameters(site, parameters));
   for (int slot = 0; slot < 6; ++slot) {
     const model::AnchorCalibration& anchor = calibration.anchors[static_cast<std::size_t>(slot)];
     EXPECT_EQ(site.anchor_index(anchor.id), slot);
@@ -173,7 +172,7 @@ TEST(Parameters, LeaveOutUnusableAnchorsAndExcessTags) {
   for (model::NodeId id = 1; id < 20; ++id) tags.push_back({id, Eigen::Vector3d::Zero()});
   const Site site(tags, calibration, 0.01);
   EXPECT_EQ(site.anchor_count(), 40);
-  EXPECT_EQ(site.tag_count(), kMaxTags);
+  EXPECT_EQ(site.tag_count, kMaxTags);
   EXPECT_EQ(site.tag_slot(19), -1);
   EXPECT_EQ(site.anchor_index(9), -1);
   EXPECT_EQ(site.anchor_index(0xFFFF), -1);

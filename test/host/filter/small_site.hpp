@@ -205,7 +205,7 @@ inline Eigen::MatrixXd prior_covariance(const Site& site, const Parameters& para
         std::pow(calibration.range_noise->bias_sigma_m, 2);
   }
   for (int tag = 0; tag < parameters.tag_count(); ++tag)
-    covariance.diagonal().segment<3>(parameters.lever_arm(tag)).setConstant(site.lever_arm_variance_m2());
+    covariance.diagonal().segment<3>(parameters.lever_arm(tag)).setConstant(site.lever_arm_variance_m2);
   covariance.block<4, 4>(parameters.frame(), parameters.frame()) = calibration.common_frame_covariance;
   return covariance;
 }
