@@ -71,31 +71,21 @@ GROMA_CLONES void correct_cross(double* cross, int rows, const CoreVector& d_cor
   }
 }
 
+// column <- column - factor v. As a function of its own, so that the compiler knows that the two do not
+// overlap.
+inline void subtract_scaled(double* __restrict column, const double* __restrict v, double factor, int from,
+                            int end) noexcept {
+  for (int i = from; i < end; ++i) column[i] -= factor * v[i];
+}
+
 // P(i, j) <- P(i, j) - g(i) g(j) for the lower triangle, stored by columns, except where both parameters are
-// considered: masked = g for estimated parameters (`estimated` is not zero) and zero for the others. The
-// entries above the diagonal are undefined.
+// considered: masked = g for estimated parameters (`estimated` is not zero) and zero for the others. Each
+// column from the aligned row group of the diagonal on: the entries above the diagonal are undefined.
 GROMA_CLONES void subtract_square(double* lower, int stride, int size, const double* g, const double* masked,
                                   const double* estimated) noexcept {
-  const int end = padded(size);
-  // Four columns at once, from the aligned row group of the diagonal on; nothing reads what is above it.
-  for (int j = 0; j < size; j += 4) {
-    double* const column = aligned(lower) + static_cast<std::ptrdiff_t>(j) * stride;
-    double* const __restrict p0 = aligned(column);
-    double* const __restrict p1 = aligned(column + stride);
-    double* const __restrict p2 = aligned(column + 2 * static_cast<std::ptrdiff_t>(stride));
-    double* const __restrict p3 = aligned(column + 3 * static_cast<std::ptrdiff_t>(stride));
-    const auto rows_of = [&](int k) { return estimated[k] != 0.0 ? g : masked; };
-    const double *const v0 = rows_of(j), *const v1 = rows_of(j + 1), *const v2 = rows_of(j + 2),
-                        *const v3 = rows_of(j + 3);
-    const double g0 = g[j], g1 = g[j + 1], g2 = g[j + 2], g3 = g[j + 3];
-    for (int line = j - j % kKernelStep; line < end; line += kKernelStep) {
-      for (int i = line; i < line + kKernelStep; ++i) {
-        p0[i] -= g0 * v0[i];
-        p1[i] -= g1 * v1[i];
-        p2[i] -= g2 * v2[i];
-        p3[i] -= g3 * v3[i];
-      }
-    }
+  for (int j = 0; j < size; ++j) {
+    subtract_scaled(aligned(lower) + static_cast<std::ptrdiff_t>(j) * stride,
+                    estimated[j] != 0.0 ? g : masked, g[j], j - j % kKernelStep, padded(size));
   }
 }
 
@@ -305,6 +295,7 @@ void JointCovariance::scale_range_biases(double factor) noexcept {
 }
 
 void JointCovariance::settle_range_biases() noexcept {
+  if (range_bias_scale_ == 1.0) return;
   for (int slot = 0; slot < layout_.anchor_count(); ++slot) {
     scale_cross(layout_.range_bias(slot), range_bias_scale_);
   }
@@ -337,11 +328,9 @@ void JointCovariance::own_of_considered(const RangeMeasurement& measurement, con
 void JointCovariance::own_of_estimated(const RangeMeasurement& measurement, const PairPlace& pair,
                                        PaddedVector& own) const noexcept {
   const auto d = stored(measurement);
-  std::array<double, kMaxAnchorSize> of_anchor{};
-  const double* by = d.data();
-  for (const int index : model::pair_indices(pair.tag, layout_.tag_count()))
-    of_anchor[static_cast<std::size_t>(index)] = *by++;
-  of_anchor[static_cast<std::size_t>(layout_.anchor_size() - 1)] = d(kOfRangeBias);
+  AnchorVector of_anchor = AnchorVector::Zero(layout_.anchor_size());
+  of_anchor(model::pair_indices(pair.tag, layout_.tag_count())) = d.head<model::kPairSize>().transpose();
+  of_anchor(layout_.anchor_size() - 1) = d(kOfRangeBias);
   const auto add = [&](int first, int count, const double* w) {
     add_columns(lower_data(), stride_, size_, first, count, w, own.data());
     for (int i = 0; i < count; ++i) {

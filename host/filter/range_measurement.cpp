@@ -33,7 +33,6 @@ RangeMeasurement measure_range(const model::Surface& surface, const CoreVector& 
   // The pattern's contribution to the Jacobians is a tenth of the lever arm's and is neglected.
   out.range_m =
       prediction.range_m + pair.range_bias_m + model::pattern_terms(prediction.in_body).dot(pair.pattern_m);
-  out.distance_m = prediction.distance_m;
   out.d_core = prediction.d_pose.lazyProduct(then.d_core);
   out.d_core(kDelay) = -prediction.d_pose.dot(pose_rate(prediction.sideways, core_then, row));
 

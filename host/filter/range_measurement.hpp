@@ -21,7 +21,6 @@ inline constexpr double kMaxRange_m = 1000.0;
 
 struct RangeMeasurement {
   double range_m = 0.0;                                    // predicted, z_n of (17)
-  double distance_m = 0.0;                                 // between the antennas
   CoreRow d_core;                                          // H: w.r.t. the core state
   Eigen::Matrix<double, 1, kPairParameters> d_parameters;  // J: w.r.t. the pair's parameters
 };

@@ -77,7 +77,6 @@ ReplayResult replay(const Run& run, const ReplayOptions& options) {
   ReplayResult result;
   std::vector<double> propagate_ns;
   std::vector<double> update_ns;
-  double nis_sum = 0.0;
   const auto timed = [&](std::vector<double>& durations, const auto& sample) {
     const std::int64_t begin = options.now_ns ? options.now_ns() : 0;
     auto outcome = tracker->process(sample);
@@ -88,7 +87,6 @@ ReplayResult replay(const Run& run, const ReplayOptions& options) {
   const auto take_range = [&](const model::RangeSample& sample) {
     ++result.ranges_seen;
     const RangeResult update = timed(update_ns, sample);
-    if (update.outcome == RangeOutcome::kUsed) nis_sum += update.nis;
     if (options.on_range) options.on_range(*tracker, sample, update);
     if (tracker->reason() == Reason::kMapMismatch && !result.map_mismatch)
       result.map_mismatch = {.t_s = sample.t_s, .share = tracker->map_watch().share()};
@@ -117,8 +115,6 @@ ReplayResult replay(const Run& run, const ReplayOptions& options) {
 
   result.relocations = tracker->relocations();
   result.counters = tracker->filter().counters();
-  const std::size_t used = result.counters.ranges[RangeOutcome::kUsed];
-  result.nis_mean = nis_sum / static_cast<double>(std::max<std::size_t>(used, 1));
   result.propagate_ns = percentiles(propagate_ns);
   result.update_ns = percentiles(update_ns);
   return result;

@@ -68,7 +68,6 @@ struct ReplayResult {
   std::vector<model::SpatialEstimate> spatial;  // of each row
   std::size_t ranges_seen = 0;                  // from start.t_s to to_s
   Counters counters;
-  double nis_mean = 0.0;  // over the ranges used
   // Wall times of one call: for an odometry sample (propagation to it), and for a range (propagation to it
   // and update). Zero without a clock.
   Percentiles propagate_ns;

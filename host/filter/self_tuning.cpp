@@ -49,15 +49,14 @@ void RangeTuning::observe(int anchor, int tag, double t_s, double innovation_m, 
   Last& last = last_[pair_at(anchor, tag)];
   const double gap_s = t_s - last.t_s;
   // The slow range bias cancels in the difference of two successive innovations.
-  if (last.heard && gap_s > 0.0 && gap_s < kDifference_s &&
-      !model::is_ablated(model::Mechanism::kRangeNoise)) {
+  if (gap_s > 0.0 && gap_s < kDifference_s && !model::is_ablated(model::Mechanism::kRangeNoise)) {
     differences_ += 1.0;
     const double half_m = kHalfWithin * std::numbers::sqrt2 * white_sigma_m_;
     white_sigma_m_ =
         std::clamp(white_sigma_m_ * adjustment(differences_, innovation_m - last.innovation_m, half_m),
                    nominal_sigma_m_ / kMostFactor, nominal_sigma_m_ * kMostFactor);
   }
-  last = {.t_s = t_s, .innovation_m = innovation_m, .heard = true};
+  last = {.t_s = t_s, .innovation_m = innovation_m};
   // The slow range bias is estimated from ranges that are too short, because NLOS makes none of these.
   if (innovation_m < 0.0 && !model::is_ablated(model::Mechanism::kRangeBiasNoise)) {
     const double change =

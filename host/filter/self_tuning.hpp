@@ -4,6 +4,7 @@
 
 #include <array>
 #include <cstddef>
+#include <limits>
 
 #include "host/filter/config.hpp"
 #include "host/filter/state.hpp"
@@ -27,9 +28,8 @@ class RangeTuning {
 
  private:
   struct Last {
-    double t_s = 0.0;
+    double t_s = -std::numeric_limits<double>::infinity();
     double innovation_m = 0.0;
-    bool heard = false;
   };
 
   double nominal_sigma_m_;

@@ -76,8 +76,7 @@ std::optional<Eigen::Vector2d> SlipWatch::observe(int anchor, int tag, double t_
   const double gap_s = t_s - usual.t_s;
   usual.t_s = t_s;
   const double most_m = kMostSigmas * std::sqrt(variance_m2);
-  if (!usual.heard || gap_s > kUsual_s) {
-    usual.heard = true;
+  if (gap_s > kUsual_s) {
     usual.innovation_m = 0.0;
     return std::nullopt;
   }

@@ -53,9 +53,8 @@ class SlipWatch {
     double y = 0.0;
   };
   struct Usual {
-    double t_s = 0.0;
+    double t_s = -std::numeric_limits<double>::infinity();
     double innovation_m = 0.0;
-    bool heard = false;
   };
 
   static void fade(Sums& sums, double until_s) noexcept;

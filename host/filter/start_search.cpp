@@ -97,12 +97,6 @@ class RobustCost {
   Side shortfall_{kShortfallScale};
 };
 
-double robust_cost(double e) noexcept {
-  RobustCost cost;
-  cost.add(e);
-  return cost.sum();
-}
-
 double robust_weight(double e) noexcept {
   return 1.0 / (1.0 + square(e / (e > 0.0 ? kExcessScale : kShortfallScale)));
 }
@@ -545,8 +539,9 @@ double StartSearch::cautious_cost(const model::PlanarPose& pose) noexcept {
   const Eigen::Vector3d at = vector_of(pose);
   walk_back(at, pose.chart, 1, [&, now = Frame(at)](const Seen& seen, int chart) {
     const Residual r = residual(seen, now, chart);
-    anchor_costs_[static_cast<std::size_t>(seen.anchor)] +=
-        kShare * robust_cost(r.e_m / std::sqrt(variance_m2(seen, r.predicted, chart)));
+    RobustCost cost;
+    cost.add(r.e_m / std::sqrt(variance_m2(seen, r.predicted, chart)));
+    anchor_costs_[static_cast<std::size_t>(seen.anchor)] += kShare * cost.sum();
   });
   const bool is_bounded = !model::is_ablated(model::Mechanism::kCautiousCost);
   double sum = 0.0;

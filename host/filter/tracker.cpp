@@ -142,7 +142,6 @@ void Tracker::resume(const Tracker& other) noexcept {
   tags_ = other.tags_;
   restart_by_odometry(other.prediction());
   relocations_ = other.relocations_;
-  clock_steps_ = other.clock_steps_;
   restart_agreement();
 }
 
@@ -254,7 +253,6 @@ bool Tracker::accepts_time(double t_s) noexcept {
   strange_s_ = t_s;
   if (strange_ < kClockInputs) return false;
   strange_ = 0;
-  ++clock_steps_;
   if (t_s < newest_s_) set_back(t_s);
   return true;
 }

@@ -89,15 +89,12 @@ class Tracker {
   [[nodiscard]] const OrderedFilter& filter() const noexcept { return filter_; }
   // Number of re-initializations at another pose.
   [[nodiscard]] std::size_t relocations() const noexcept { return relocations_; }
-  // Number of clock steps of the inputs.
-  [[nodiscard]] std::size_t clock_steps() const noexcept { return clock_steps_; }
 
   // As Filter's.
   void archive(model::StateArchive& state) {
     state(filter_, search_, map_watch_, by_odometry_, state_, reason_, newest_s_, last_odometry_s_,
           last_used_s_, last_search_s_, searches_left_, earned_s_, no_place_, no_place_ranges_, disagrees_,
-          agrees_, confirmed_, judged_s_, refused_, judged_, strange_s_, strange_, tags_, relocations_,
-          clock_steps_);
+          agrees_, confirmed_, judged_s_, refused_, judged_, strange_s_, strange_, tags_, relocations_);
   }
 
  private:
@@ -165,7 +162,6 @@ class Tracker {
   std::size_t strange_ = 0;
   std::vector<TagWatch> tags_;
   std::size_t relocations_ = 0;
-  std::size_t clock_steps_ = 0;
 };
 
 }  // namespace groma::filter
