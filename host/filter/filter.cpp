@@ -402,7 +402,7 @@ void Filter::carry(Prediction& prediction, const MotionInput& input) const noexc
     if (sample->t_s > then.t_s) motion.advance_to(sample->t_s);
     motion.hold(*sample);
   } else if (const auto* rate = std::get_if<model::YawRateSample>(&input)) {
-    if (!std::isfinite(rate->omega_radps) || !(rate->t_s >= then.t_s)) return;
+    if (!is_usable(*rate) || rate->t_s < then.t_s) return;
     if (rate->t_s > then.t_s) motion.advance_to(rate->t_s);
     motion.turn(*rate);
   }
