@@ -7,7 +7,6 @@
 #include <utility>
 
 #include "host/calibration/robust_kernel.hpp"
-#include "host/calibration/uncertainty.hpp"
 
 namespace groma::calibration {
 namespace {
@@ -153,8 +152,7 @@ std::vector<FittedRange> fitted_ranges(const AnchorFit& fit, std::span<const mod
   return out;
 }
 
-void gather_anchor_evidence(Site& site, std::span<const std::vector<FittedRange>> fitted,
-                            std::span<const double> inflation) {
+void gather_anchor_evidence(Site& site, std::span<const std::vector<FittedRange>> fitted) {
   // Medians over the anchors that have ranges.
   std::vector<double> scales_m;
   std::vector<double> ranges;
@@ -167,12 +165,11 @@ void gather_anchor_evidence(Site& site, std::span<const std::vector<FittedRange>
   const double typical_ranges = median(std::move(ranges));
   for (std::size_t i = 0; i < site.fits.size(); ++i) {
     AnchorEvidence& out = site.evidence[i];
-    out.inflation = inflation[i];
+    out.inflation = site.fits[i].inflation;
     out.moved = move_evidence(site, i);
     out.duplicate_m = site.paths[i].duplicate_m;
     out.surveyed = site.fits[i].problem.position.surveyed;
     out.rows = site.fits[i].problem.rows.size();
-    out.held_out_z = site.held_out[i].share_of_scale;
     judge_rows(site, i, fitted[i], out);
     if (typical_scale_m > 0.0) {
       out.flicker = flicker_m(fitted[i]) / typical_scale_m;

@@ -18,7 +18,6 @@ namespace groma::calibration {
 [[nodiscard]] std::vector<FittedRange> fitted_ranges(const AnchorFit& fit, std::span<const model::Tag> tags);
 
 // Completes the evidence of all anchors; the mirror tests have filled in theirs already.
-void gather_anchor_evidence(Site& site, std::span<const std::vector<FittedRange>> fitted,
-                            std::span<const double> inflation);
+void gather_anchor_evidence(Site& site, std::span<const std::vector<FittedRange>> fitted);
 
 }  // namespace groma::calibration

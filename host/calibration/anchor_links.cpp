@@ -54,12 +54,8 @@ double cost_of(const AnchorLink& link, const Eigen::VectorXd& positions_m, const
   return -std::log(kernel.at(residual_m(link, positions_m, priors)).density);
 }
 
-Eigen::MatrixXd covariance_before_links(const LinkedSite& site, std::size_t anchor) {
-  return anchor_covariance(site.error.evidence[anchor], site.inflation[anchor]) +
-         site.error.added_covariance[anchor];
-}
-
-AnchorBelief belief_of(const LinkedSite& site) {
+// From ranges and drive error.
+AnchorBelief belief_of(const Site& site) {
   AnchorBelief out;
   for (std::size_t a = 0; a < site.fits.size(); ++a) {
     const AnchorFit& fit = site.fits[a];
@@ -69,7 +65,7 @@ AnchorBelief belief_of(const LinkedSite& site) {
       mean -= here.information.ldlt().solve(here.gradient);
     }
     out.mean.push_back(std::move(mean));
-    out.covariance.push_back(covariance_before_links(site, a));
+    out.covariance.push_back(anchor_covariance(fit.evidence, fit.inflation) + site.error.added_covariance[a]);
   }
   out.gain = site.error.shared_gain;
   out.shared = site.error.shared_covariance;
@@ -78,7 +74,7 @@ AnchorBelief belief_of(const LinkedSite& site) {
 
 // Moves anchors to their mirror hypotheses, one or two at a time, as long as that lowers the cost of links
 // and drive together.
-void take_sides(const LinkedSite& site, std::span<const AnchorLink> links, const model::RangePriors& priors) {
+void take_sides(Site& site, std::span<const AnchorLink> links, const model::RangePriors& priors) {
   const std::size_t anchors = site.fits.size();
   const AnchorBelief belief = belief_of(site);
   std::vector<bool> flipped(anchors, false);
@@ -86,9 +82,9 @@ void take_sides(const LinkedSite& site, std::span<const AnchorLink> links, const
     Eigen::VectorXd positions_m(position_of(anchors));
     double sum = 0.0;
     for (std::size_t a = 0; a < anchors; ++a) {
-      const AnchorVector& anchor = flipped[a] ? site.known[a].mirror->anchor : site.fits[a].anchor;
+      const AnchorVector& anchor = flipped[a] ? site.evidence[a].mirror->anchor : site.fits[a].anchor;
       positions_m.segment<3>(position_of(a)) = anchor.head<3>();
-      if (flipped[a]) sum += site.known[a].mirror->cost_excess / site.inflation[a];
+      if (flipped[a]) sum += site.evidence[a].mirror->cost_excess / site.fits[a].inflation;
     }
     for (const AnchorLink& link : links) sum += cost_of(link, positions_m, belief, priors);
     return sum;
@@ -103,7 +99,7 @@ void take_sides(const LinkedSite& site, std::span<const AnchorLink> links, const
     better = false;
     for (std::size_t a = 0; a < anchors; ++a) {
       for (std::size_t b = a; b < anchors; ++b) {
-        if (!site.known[a].mirror || !site.known[b].mirror) continue;
+        if (!site.evidence[a].mirror || !site.evidence[b].mirror) continue;
         flip(a, b);
         const double found = cost();
         if (found < best) {
@@ -117,18 +113,19 @@ void take_sides(const LinkedSite& site, std::span<const AnchorLink> links, const
   }
   std::vector<double> excess(anchors, 0.0);
   for (std::size_t a = 0; a < anchors; ++a) {
-    if (!site.known[a].mirror) continue;
+    if (!site.evidence[a].mirror) continue;
     const double here = cost();
     flip(a, a);
-    excess[a] = std::max(0.0, cost() - here) * site.inflation[a];
+    excess[a] = std::max(0.0, cost() - here) * site.fits[a].inflation;
     flip(a, a);
   }
   for (std::size_t a = 0; a < anchors; ++a) {
-    if (!site.known[a].mirror) continue;
-    site.known[a].mirror->cost_excess = excess[a];
+    std::optional<MirrorHypothesis>& mirror = site.evidence[a].mirror;
+    if (!mirror) continue;
+    mirror->cost_excess = excess[a];
     if (!flipped[a]) continue;
-    std::swap(site.fits[a].anchor, site.known[a].mirror->anchor);
-    site.error.evidence[a] = gather_evidence(site.fits[a]);
+    std::swap(site.fits[a].anchor, mirror->anchor);
+    gather_evidence({&site.fits[a], 1});
   }
 }
 
@@ -237,22 +234,18 @@ AnchorBelief fuse_links(const AnchorBelief& belief, std::span<const AnchorLink> 
   return out;
 }
 
-std::vector<Eigen::MatrixXd> join_links(const LinkedSite& site, std::span<const AnchorLink> links,
-                                        const model::RangePriors& priors) {
-  if (links.empty()) {
-    std::vector<Eigen::MatrixXd> covariance;
-    covariance.reserve(site.fits.size());
-    for (std::size_t a = 0; a < site.fits.size(); ++a) covariance.push_back(covariance_before_links(site, a));
-    return covariance;
-  }
+std::vector<Eigen::MatrixXd> join_links(std::span<const model::AnchorRange> ranges,
+                                        const model::RangePriors& priors, Site& site) {
+  std::vector<model::NodeId> ids;
+  for (const AnchorObservations& anchor : site.association.anchors) ids.push_back(anchor.id);
+  const std::vector<AnchorLink> links = gather_links(ranges, ids, priors);
+  if (links.empty()) return belief_of(site).covariance;
   take_sides(site, links, priors);
   AnchorBelief belief;
   for (int round = 0; round < kFusionRounds; ++round) {
     belief = fuse_links(belief_of(site), links, priors);
-    for (std::size_t a = 0; a < site.fits.size(); ++a) {
-      site.fits[a].anchor = belief.mean[a];
-      site.error.evidence[a] = gather_evidence(site.fits[a]);
-    }
+    for (std::size_t a = 0; a < site.fits.size(); ++a) site.fits[a].anchor = belief.mean[a];
+    gather_evidence(site.fits);
   }
   return belief.covariance;
 }

@@ -7,8 +7,7 @@
 
 #include <Eigen/Core>
 
-#include "host/calibration/drive_error.hpp"
-#include "host/calibration/verdict.hpp"
+#include "host/calibration/site.hpp"
 #include "host/model/types.hpp"
 
 namespace groma::calibration {
@@ -40,18 +39,10 @@ struct AnchorBelief {
 [[nodiscard]] AnchorBelief fuse_links(const AnchorBelief& belief, std::span<const AnchorLink> links,
                                       const model::RangePriors& priors);
 
-// Fuses the links with the drive's solutions: picks the side of each anchor, fuses, and linearizes the
-// drive's ranges again from there. Moves the fits; updates their evidence and their mirror hypotheses across
-// the tags' plane.
-struct LinkedSite {
-  std::span<AnchorFit> fits;
-  std::span<const double> inflation;
-  std::span<AnchorEvidence> known;
-  DriveError& error;
-};
-// Covariance of each anchor's unknowns.
-[[nodiscard]] std::vector<Eigen::MatrixXd> join_links(const LinkedSite& site,
-                                                      std::span<const AnchorLink> links,
-                                                      const model::RangePriors& priors);
+// Fuses the links, if there are any, with the drive's solutions: picks the side of each anchor, fuses, and
+// linearizes the drive's ranges again from there. Moves the fits; updates their evidence and their mirror
+// hypotheses across the tags' plane. Returns the covariance of each anchor's unknowns.
+[[nodiscard]] std::vector<Eigen::MatrixXd> join_links(std::span<const model::AnchorRange> ranges,
+                                                      const model::RangePriors& priors, Site& site);
 
 }  // namespace groma::calibration

@@ -1,12 +1,13 @@
-// Position and pair biases of one anchor from its ranges: robust non-linear least squares on eq. (12).
+// Position and pair biases of one anchor from its ranges, by robust non-linear least squares on eq. (12), and
+// their covariance from the undamped information, corrected for residuals that are correlated in time.
 #pragma once
 
 #include <algorithm>
 #include <array>
-#include <cmath>
 #include <cstddef>
 #include <cstdint>
 #include <limits>
+#include <optional>
 #include <span>
 #include <vector>
 
@@ -95,61 +96,50 @@ struct AnchorProblem {
   const AnchorLos* los_states = nullptr;  // none: no NLOS states beyond the kernels'
 };
 
+// Scatter of the score (the gradient of the data's cost), summed over blocks of the drive of one length, in
+// the metric of the information: as observed, and as expected if residuals were independent.
+struct Scatter {
+  double observed = 0.0;
+  double expected = 0.0;
+  double blocks = 0.0;
+};
+inline constexpr std::size_t kBlockLevels = 9;  // 0.5 s, each twice as long as the one before: up to 128 s
+
+// Statistics of one anchor's ranges at its solution.
+struct Evidence {
+  Eigen::MatrixXd information;  // of priors and data, at the kernels' mean curvature
+  Eigen::MatrixXd prior_information;
+  Eigen::MatrixXd score_variance;             // of the score, if residuals were independent
+  std::array<Scatter, kBlockLevels> scatter;  // by block length
+  bool surveyed = false;                      // the position was held fixed
+};
+
 // One anchor's solution with its problem and kernels.
 struct AnchorFit {
   AnchorProblem problem = {};  // its rows belong to the association
   AnchorVector anchor;
   std::vector<RobustKernel> kernels = {};  // one per tag
   double cost = 0.0;
+  Evidence evidence = {};  // gather_evidence() of this solution; empty before
+  double inflation = 1.0;  // estimate_inflation(): residuals correlated in time
 };
 
 // Eq. (12) at the antenna's position.
-[[nodiscard]] inline model::AntennaPrediction predict(const Observation& row, const AnchorVector& anchor,
-                                                      std::size_t tag_count) noexcept {
-  return model::predict_antenna_range(row.tag_m, anchor.head<3>(), terms_of(anchor, row.tag, tag_count));
-}
+[[nodiscard]] model::AntennaPrediction predict(const Observation& row, const AnchorVector& anchor,
+                                               std::size_t tag_count) noexcept;
 // Measured minus predicted.
-[[nodiscard]] inline double residual_m(const Observation& row, const AnchorVector& anchor,
-                                       std::size_t tag_count) noexcept {
-  return row.range_m - predict(row, anchor, tag_count).range_m;
-}
-
+[[nodiscard]] double residual_m(const Observation& row, const AnchorVector& anchor,
+                                std::size_t tag_count) noexcept;
 // Variance of a range due to the pose's own error: J C J^T with C that of the antenna, m^2; zero if the poses
 // have no covariance.
-[[nodiscard]] inline double pose_variance_m2(const Observation& row, const AnchorVector& anchor,
-                                             std::size_t tag_count) noexcept {
-  const Eigen::Vector3d spread_m2 = row.pose_spread_m2.cast<double>();
-  if (!(spread_m2(0) + spread_m2(2) > 0.0)) return 0.0;
-  const Eigen::Vector3d way = row.tag_m - anchor.head<3>();
-  const Eigen::Vector2d j = model::scale_of(terms_of(anchor, row.tag, tag_count)) /
-                            std::max(way.norm(), model::kMinDistance_m) * way.head<2>();
-  const double variance_m2 =
-      j.x() * j.x() * spread_m2(0) + 2.0 * j.x() * j.y() * spread_m2(1) + j.y() * j.y() * spread_m2(2);
-  return std::max(0.0, variance_m2);
-}
-// Scale of the kernel over the standard deviation of kernel and pose together.
-[[nodiscard]] inline double noise_share(const RobustKernel& kernel, double pose_variance_m2) noexcept {
-  if (!(pose_variance_m2 > 0.0)) return 1.0;
-  const double scale_m = kernel.shape().scale_m;
-  return scale_m / std::sqrt(scale_m * scale_m + pose_variance_m2);
-}
-// Value of the kernel with its scale divided by `share`.
-[[nodiscard]] inline KernelValue stretched(const RobustKernel& kernel, double share,
-                                           double residual_m) noexcept {
-  KernelValue out = kernel.at(share * residual_m);
-  out.density *= share;
-  out.slope *= share;
-  out.weight *= share * share;
-  return out;
-}
-
+[[nodiscard]] double pose_variance_m2(const Observation& row, const AnchorVector& anchor,
+                                      std::size_t tag_count) noexcept;
+// Value of the kernel with its variance increased by `pose_variance_m2`.
+[[nodiscard]] KernelValue widened_value(const RobustKernel& kernel, double pose_variance_m2,
+                                        double residual_m) noexcept;
 // Excess of this range if it is long NLOS, m.
-[[nodiscard]] inline double long_nlos_excess_m(const RangeLos& los_states, const AnchorVector& anchor,
-                                               std::size_t tag_count) noexcept {
-  const double common_m = anchor(excess_index(tag_count));
-  return los_states.episode == kNoEpisode ? common_m
-                                          : common_m + anchor(episode_index(los_states.episode, tag_count));
-}
+[[nodiscard]] double long_nlos_excess_m(const RangeLos& los_states, const AnchorVector& anchor,
+                                        std::size_t tag_count) noexcept;
 
 // One range at one solution: `seen` has the density of the whole mixture and slope and weight of its LOS
 // part; nlos_slope and nlos_weight are of its long NLOS part.
@@ -159,90 +149,21 @@ struct RowValue {
   double nlos_slope = 0.0;   // 1/m
   double nlos_weight = 0.0;  // 1/m^2
 };
-// `seen`: the value of the pair's kernel; `row`: Observation::index.
-[[nodiscard]] inline RowValue value_of(const AnchorProblem& problem, std::uint32_t row,
-                                       const KernelValue& seen, double residual_m, const AnchorVector& anchor,
-                                       double pose_variance_m2) noexcept {
-  RowValue out{.seen = seen};
-  if (problem.los_states == nullptr) return out;
-  const RangeLos& los_states = problem.los_states->rows[row];
-  const double los = static_cast<double>(los_states.los) * seen.density;
-  KernelValue through;
-  double nlos = 0.0;
-  if (los_states.long_nlos > 0.0F) {
-    through =
-        stretched(problem.los_states->long_nlos, noise_share(problem.los_states->long_nlos, pose_variance_m2),
-                  residual_m - long_nlos_excess_m(los_states, anchor, problem.tag_count));
-    nlos = static_cast<double>(los_states.long_nlos) * through.density;
-  }
-  out.seen.density = los + nlos + static_cast<double>(los_states.other_density);
-  out.los_count = los / out.seen.density;
-  out.seen.slope *= out.los_count;
-  out.seen.weight *= out.los_count;
-  out.nlos_slope = nlos / out.seen.density * through.slope;
-  out.nlos_weight = nlos / out.seen.density * through.weight;
-  return out;
-}
 
 using PairRow = Eigen::Matrix<double, model::kPairSize, 1>;
 using PairBlock = Eigen::Matrix<double, model::kPairSize, model::kPairSize>;
 // Adds weight J J^T to a lower triangle.
-inline void add_square(const PairRow& j, double weight, PairBlock& lower) noexcept {
-  for (Eigen::Index column = 0; column < j.size(); ++column) {
-    const double weighted = weight * j(column);
-    for (Eigen::Index row = column; row < j.size(); ++row) lower(row, column) += weighted * j(row);
-  }
-}
+void add_square(const PairRow& j, double weight, PairBlock& lower) noexcept;
 
 // One range at a fit's solution.
 struct RowAt {
   model::AntennaPrediction predicted;
   double residual_m = 0.0;
-  double noise_share = 1.0;
+  double noise_share = 1.0;  // scale of the kernel over the standard deviation of kernel and pose together
   RowValue value = {};
   PairRow j = PairRow::Zero();  // derivative of eq. (12) by position and terms of its pair
 };
-[[nodiscard]] inline RowAt row_at(const AnchorFit& fit, const Observation& row) noexcept {
-  const std::size_t tags = fit.problem.tag_count;
-  RowAt out{.predicted = predict(row, fit.anchor, tags)};
-  out.residual_m = row.range_m - out.predicted.range_m;
-  const RobustKernel& kernel = fit.kernels[row.tag];
-  const double variance_m2 = pose_variance_m2(row, fit.anchor, tags);
-  out.noise_share = noise_share(kernel, variance_m2);
-  out.value = value_of(fit.problem, row.index, stretched(kernel, out.noise_share, out.residual_m),
-                       out.residual_m, fit.anchor, variance_m2);
-  out.j.head<3>() = -out.predicted.scale * out.predicted.direction;
-  out.j.tail<model::kPairSize - 3>() = out.predicted.d_terms;
-  return out;
-}
-
-// Derivative of a long NLOS range: also by the two parts of its excess.
-struct LongNlosRow {
-  Eigen::Matrix<double, model::kPairSize + 2, 1> derivative;
-  std::array<Eigen::Index, model::kPairSize + 2> index{};  // of the anchor's unknowns
-  std::size_t size = model::kPairSize + 1;                 // one more in an episode
-
-  LongNlosRow(const PairRow& j, const RangeLos& los_states, std::size_t tag, std::size_t tag_count) noexcept {
-    derivative << j, 1.0, 1.0;
-    const PairIndex pair = pair_index(tag, tag_count);
-    *std::copy(pair.begin(), pair.end(), index.begin()) = excess_index(tag_count);
-    if (los_states.episode != kNoEpisode) index[size++] = episode_index(los_states.episode, tag_count);
-  }
-  // Adds weight J J^T.
-  void add_square(double weight, Eigen::MatrixXd& out) const noexcept {
-    for (std::size_t i = 0; i < size; ++i) {
-      for (std::size_t k = 0; k < size; ++k) out(index[i], index[k]) += weight * by(i) * by(k);
-    }
-  }
-  // Adds factor J.
-  template <typename Vector>
-  void add(double factor, Vector&& out) const noexcept {
-    for (std::size_t i = 0; i < size; ++i) out(index[i]) += factor * by(i);
-  }
-
- private:
-  [[nodiscard]] double by(std::size_t i) const noexcept { return derivative(static_cast<Eigen::Index>(i)); }
-};
+[[nodiscard]] RowAt row_at(const AnchorFit& fit, const Observation& row) noexcept;
 
 // An anchor's observations as inner loops read them: tag by tag in blocks of kLanes, column by column. The
 // last block of a tag is padded with NaN ranges, which have no weight.
@@ -335,5 +256,42 @@ struct AnchorSolution {
 // always finite.
 [[nodiscard]] AnchorSolution solve_anchor(const AnchorProblem& problem, std::span<const RobustKernel> kernels,
                                           const AnchorVector& start, int max_iterations);
+
+[[nodiscard]] Evidence gather_evidence(const AnchorFit& fit);
+// Sets the evidence of each fit.
+void gather_evidence(std::span<AnchorFit> fits);
+
+// Sets the inflation of each fit from their evidence: the scatter of the score over that of independent
+// residuals, 1 for white residuals, else about the number of ranges that together carry one range's
+// information. It is the site's mean, or the anchor's own where that is clearly larger.
+void estimate_inflation(std::span<AnchorFit> fits);
+
+// The same of one anchor alone, over blocks of at most `duration_s`.
+[[nodiscard]] double inflation_within(const Evidence& evidence, double duration_s);
+
+// Delete-a-fifth jackknife covariance of the position, m^2: how the position depends on the part of the drive
+// that is left out. Unlike scores it shows correlations as long as that and a cost that is not quadratic.
+// None if there are too few ranges, or if the position was held fixed.
+[[nodiscard]] std::optional<Eigen::Matrix3d> jackknife_covariance(const AnchorFit& fit);
+
+// Covariance to add where the jackknife exceeds the expected position covariance; only in directions in which
+// that is significant. The biases follow by regression. `expected`: of the ranges alone, for the anchor's
+// unknowns.
+[[nodiscard]] Eigen::MatrixXd excess_of_jackknife(const Eigen::Matrix3d& jackknife,
+                                                  const Eigen::MatrixXd& expected);
+
+// Covariance of the anchor's unknowns: H^-1 (prior + inflation G) H^-1, with H the information and G the
+// score's variance. A surveyed position keeps its prior's covariance, which propagates into the biases: they
+// were estimated with the position held fixed.
+[[nodiscard]] Eigen::MatrixXd anchor_covariance(const Evidence& evidence, double inflation);
+
+// Inverse information from at most 200 ranges evenly spaced among all, scaled to all: what the geometry of
+// the drive leaves open, without what the residuals show of the noise. The position must not be surveyed.
+[[nodiscard]] Eigen::MatrixXd rough_covariance(const AnchorFit& fit);
+
+// Standard deviation of a predicted range by the covariance of the anchor's position and biases, m; `j` as in
+// RowAt.
+[[nodiscard]] double prediction_sigma_m(const PairRow& j, std::size_t tag,
+                                        const Eigen::MatrixXd& covariance) noexcept;
 
 }  // namespace groma::calibration

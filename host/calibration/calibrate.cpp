@@ -7,11 +7,9 @@
 
 #include "host/calibration/anchor_evidence.hpp"
 #include "host/calibration/anchor_links.hpp"
-#include "host/calibration/comparison.hpp"
 #include "host/calibration/covariance_budget.hpp"
 #include "host/calibration/range_noise.hpp"
 #include "host/calibration/site.hpp"
-#include "host/calibration/uncertainty.hpp"
 #include "host/model/ablation.hpp"
 
 namespace groma::calibration {
@@ -24,11 +22,8 @@ constexpr double kHeldOutShare = 0.2;  // by hand: the fifth that docs/reference
 // Largest pose sigma per axis with which moves are searched for. By hand: at this sigma the poses explain the
 // least move with 2 sigmas. Moved.FindsHardlyAnyWherePosesDriftAsFarOverManyDrives holds with it.
 constexpr double kMovePose_m = 0.5 * kMinMove_m;
-// Most rounds of the final refinement: by hand, a bound on time.
+// Most rounds of a refinement: by hand, a bound on time.
 constexpr int kLastRounds = 10;
-// Sigma per axis between the frames of two drives, in addition to the earlier calibration's covariance. By
-// hand; Update.ByAWeakDriveIsBetterThanEitherAloneOverManyDrives holds with it.
-constexpr double kFrameSigma_m = 0.1;
 // An axis of a lever arm is reported if its sigma is below this share of kLeverArmSigma_m. By hand: the
 // ranges then have at least 1/0.5^2 - 1 = 3 times the prior's information.
 constexpr double kRefinedShare = 0.5;
@@ -79,52 +74,13 @@ bool has_moves(const Site& site) {
                      [](const AnchorPath& path) { return !path.moved_at_s.empty(); });
 }
 
-// None if the earlier calibration has no position for the anchor. A height that is not trusted gets so large
-// a variance that it decides nothing.
-std::optional<EarlierPlace> earlier_place(const model::Calibration& earlier, model::NodeId id) {
-  const model::AnchorCalibration* anchor = model::find_anchor(earlier, id);
-  if (anchor == nullptr || !model::has_position(*anchor)) return std::nullopt;
-  EarlierPlace out{.position_m = anchor->position_m,
-                   .covariance_m2 = anchor->covariance.topLeftCorner<3, 3>()};
-  out.covariance_m2.diagonal().array() += kFrameSigma_m * kFrameSigma_m;
-  if (anchor->verdict != model::AnchorVerdict::kOk) out.covariance_m2(2, 2) += kWeakHeight_m * kWeakHeight_m;
-  return out;
-}
-
-// Tests both mirror positions of each anchor. The fit moves to one that explains the ranges better, or that
-// the earlier calibration prefers. Then all anchors are refined.
-void test_mirrors(Site& site, const model::Calibration* earlier) {
-  site.evidence.clear();
-  for (std::size_t i = 0; i < site.fits.size(); ++i) {
-    AnchorFit& fit = site.fits[i];
-    AnchorEvidence& evidence = site.evidence.emplace_back();
-    if (fit.problem.rows.empty()) continue;
-    evidence.spread = tag_spread(fit.problem.rows);
-    if (fit.problem.position.surveyed) continue;
-    // The ranges of an anchor that moved during the drive are not from its earlier place.
-    std::optional<EarlierPlace> place;
-    if (earlier != nullptr && site.paths[i].moved_at_s.empty()) {
-      place = earlier_place(*earlier, site.association.anchors[i].id);
-    }
-    for (const auto& [axis, mirror] :
-         {std::pair{kAcrossLine, &evidence.side}, {kAcrossPlane, &evidence.mirror}}) {
-      *mirror = test_mirror(fit, evidence.spread, axis);
-      if (!place) continue;
-      const std::vector<Evidence> alone{gather_evidence(fit)};
-      weigh_by_earlier(*place, score_inflation(alone).front(), fit, **mirror);
-    }
-  }
-  refine_site(site.fits, kLastRounds);
-}
-
 // Solves the anchors one by one, with uncorrected poses.
 Site solve_anchors(const Drive& drive, const Options& options, HeightSource height, bool find_moves) {
   Site site;
   site.association = associate(drive, height);  // antenna positions of eq. (12)
   site.polls = tabulate_polls(site.association);
-  SiteProblem problem{.association = &site.association,
-                      .priors = usable_priors(drive.priors),
-                      .known_anchors = drive.known_anchors};
+  SiteProblem problem{
+      .association = &site.association, .priors = drive.priors, .known_anchors = drive.known_anchors};
   bound_rows(site.association, site.polls, problem, options.most_anchor_ranges);
   site.held_out_from_s = held_out_from(site.association);
   problem.end_s = site.held_out_from_s;
@@ -160,8 +116,8 @@ Site solve_drive(const Drive& drive, const Options& options, bool find_moves) {
   Site site = solve_at_best_height(drive, options, find_moves);
   // Score before correct_drive(): that uses all ranges, including those held out.
   for (std::size_t i = 0; i < site.fits.size(); ++i) {
-    site.held_out.push_back(
-        score_held_out(site.beginning[i], site.association.anchors[i].rows, site.held_out_from_s));
+    site.evidence[i].held_out =
+        score_held_out(site.beginning[i], site.association.anchors[i].rows, site.held_out_from_s);
   }
   site.error = correct_drive(site.association, site.fits);
   return site;
@@ -181,16 +137,6 @@ void find_nlos_again(Site& site, const model::Calibration* earlier) {
     test_mirrors(site, earlier);
   }
   correct_further(site.association, site.fits, site.error);
-}
-
-// Adds the survey's ranges between anchors, which move the fits and their mirror hypotheses. Returns each
-// anchor's covariance by ranges, drive error and survey.
-std::vector<Eigen::MatrixXd> join_survey(const Drive& drive, Site& site, std::span<const double> inflation) {
-  std::vector<model::NodeId> ids;
-  for (const AnchorObservations& anchor : site.association.anchors) ids.push_back(anchor.id);
-  const model::RangePriors priors = usable_priors(drive.priors);
-  return join_links({site.fits, inflation, site.evidence, site.error},
-                    gather_links(drive.anchor_ranges, ids, priors), priors);
 }
 
 std::vector<model::TagCalibration> tag_calibrations(std::span<const BodyError> body,
@@ -225,8 +171,8 @@ model::AnchorCalibration describe(const Site& site, std::size_t i, const Eigen::
       std::count_if(fitted.begin(), fitted.end(), [](const FittedRange& row) { return !(row.los < 0.5); }));
   out.ranges_rejected = data.rejected + data.rows.size() - out.ranges_used;
   if (site.evidence[i].mirror) out.mirror_ratio = site.evidence[i].mirror->cost_ratio;
-  out.held_out_rms_m = site.held_out[i].rms_m;
-  out.held_out_robust_rms_m = site.held_out[i].robust_rms_m;
+  out.held_out_rms_m = site.evidence[i].held_out.rms_m;
+  out.held_out_robust_rms_m = site.evidence[i].held_out.robust_rms_m;
   return out;
 }
 
@@ -235,23 +181,25 @@ model::AnchorCalibration describe(const Site& site, std::size_t i, const Eigen::
 // The source paper's first stage, "Real-Time Initialization": anchor positions r_A and biases beta, gamma of
 // the range model, eq. (12), by robust non-linear least squares from pose priors, tag offsets r_RS and
 // ranges. Their means and covariances initialize the sensor states x_s, eq. (9), of the second stage.
-Result calibrate(const Drive& drive, const Options& options) {
+Result calibrate(const Drive& given, const Options& options) {
+  Drive drive = given;
+  drive.priors = usable_priors(given.priors);
   Site site = solve_drive(drive, options, true);
   // If the poses drift by as much as a move, apparent moves of anchors are not real.
   if (has_moves(site) && site.error.prior.drift.sigma_m > kMovePose_m)
     site = solve_drive(drive, options, false);
   if (!site.error.body.empty() && site.has_los_states()) find_nlos_again(site, options.earlier);
-  const std::vector<double> inflation = score_inflation(site.error.evidence);
-  const std::vector<Eigen::MatrixXd> solved = join_survey(drive, site, inflation);
+  estimate_inflation(site.fits);
+  const std::vector<Eigen::MatrixXd> solved = join_links(drive.anchor_ranges, drive.priors, site);
 
   Result result;
   for (const AnchorFit& fit : site.fits) {
     result.fitted.push_back(fitted_ranges(fit, site.association.tags));
   }
-  gather_anchor_evidence(site, result.fitted, inflation);
+  gather_anchor_evidence(site, result.fitted);
   // Mean and covariance of each anchor's part of x_s, and its verdict.
   for (std::size_t i = 0; i < site.fits.size(); ++i) {
-    const Eigen::MatrixXd covariance = total(covariance_budget(site, i, solved[i]));
+    const Eigen::MatrixXd covariance = covariance_budget(site, i, solved[i]);
     model::AnchorCalibration& anchor =
         result.calibration.anchors.emplace_back(describe(site, i, covariance, result.fitted[i]));
     judge_anchor(site.evidence[i], anchor);

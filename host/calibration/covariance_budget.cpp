@@ -1,14 +1,11 @@
 #include "host/calibration/covariance_budget.hpp"
 
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <optional>
-#include <utility>
 
 #include <Eigen/Cholesky>
 
-#include "host/calibration/uncertainty.hpp"
 #include "host/model/ablation.hpp"
 #include "host/model/calibration.hpp"
 
@@ -47,127 +44,97 @@ constexpr double kNlosPlaces_m = 0.10;
 // degree of freedom, 99.9 %.
 constexpr double kHeightChiSquare = 10.8;
 
-// Inputs to the terms of one anchor.
+// One anchor and the sum of the terms so far.
 struct Anchor {
   const Site& site;
   std::size_t index;
   const AnchorFit& fit;
   const AnchorEvidence& known;
   Eigen::Index tags;
-  Eigen::MatrixXd so_far;  // sum of the terms before
+  Eigen::MatrixXd covariance;
 
   [[nodiscard]] bool surveyed() const noexcept { return fit.problem.position.surveyed; }
-  [[nodiscard]] Eigen::MatrixXd nothing() const {
-    return Eigen::MatrixXd::Zero(so_far.rows(), so_far.cols());
+  // A survey's position does not depend on the ranges.
+  void add(Eigen::MatrixXd more) {
+    if (surveyed()) {
+      more.topRows<3>().setZero();
+      more.leftCols<3>().setZero();
+    }
+    covariance += more;
   }
-  [[nodiscard]] Eigen::MatrixXd of_position(const Eigen::Matrix3d& covariance_m2) const {
-    Eigen::MatrixXd out = nothing();
-    out.topLeftCorner<3, 3>() = covariance_m2;
-    return out;
+  void add_to_position(const Eigen::Matrix3d& more_m2) {
+    if (!surveyed()) covariance.topLeftCorner<3, 3>() += more_m2;
   }
 };
-// Empty where the term does not apply.
-using Adds = Eigen::MatrixXd;
 
-// A bias common to all betas, of this sigma, and the response of the other unknowns.
-Adds common_bias(const Anchor& anchor, double sigma_m) {
-  if (anchor.tags == 0) return {};
-  const Eigen::LDLT<Eigen::MatrixXd> biases(anchor.so_far.block(3, 3, anchor.tags, anchor.tags));
-  const Eigen::VectorXd response =
-      sigma_m * anchor.so_far.middleCols(3, anchor.tags) * biases.solve(Eigen::VectorXd::Ones(anchor.tags));
-  if (!response.allFinite()) return {};
-  return response * response.transpose();
-}
-
-Adds place_to_place(const Anchor& anchor, double sigma_m) {
-  return anchor.of_position(square(sigma_m) * Eigen::Matrix3d::Identity());
+// A bias common to all betas, of this sigma, and the response of the other unknowns; and an error of the
+// position that differs from place to place.
+void add_bias(double common_m, double position_m, Anchor& anchor) {
+  const Eigen::LDLT<Eigen::MatrixXd> biases(anchor.covariance.block(3, 3, anchor.tags, anchor.tags));
+  const Eigen::VectorXd response = common_m * anchor.covariance.middleCols(3, anchor.tags) *
+                                   biases.solve(Eigen::VectorXd::Ones(anchor.tags));
+  if (response.allFinite()) anchor.add(response * response.transpose());
+  anchor.add_to_position(square(position_m) * Eigen::Matrix3d::Identity());
 }
 
 // Scatter by the part of the drive that the anchor is solved from.
-Adds parts_of_drive(const Anchor& anchor) {
-  if (!anchor.site.has_los_states() && anchor.known.inflation <= kCorrelatedInflation) return {};
+void add_parts_of_drive(Anchor& anchor) {
+  if (!anchor.site.has_los_states() && anchor.fit.inflation <= kCorrelatedInflation) return;
   const std::optional<Eigen::Matrix3d> jackknife = jackknife_covariance(anchor.fit);
-  if (!jackknife) return {};
-  const Eigen::Index size = anchor.so_far.rows();
-  const Evidence& evidence = anchor.site.error.evidence[anchor.index];
-  return excess_of_jackknife(*jackknife,
-                             anchor_covariance(evidence, anchor.known.inflation).topLeftCorner(size, size));
+  if (!jackknife) return;
+  const Eigen::Index size = anchor.covariance.rows();
+  anchor.add(excess_of_jackknife(
+      *jackknife, anchor_covariance(anchor.fit.evidence, anchor.fit.inflation).topLeftCorner(size, size)));
 }
 
 // Negative. Where ranges leave a direction open, such as z of an anchor at the tags' height, the covariance
 // is unbounded, yet the anchor is within reach of its ranges. That acts as one more observation of its
 // position.
-Adds reach(const Anchor& anchor) {
-  if (model::is_ablated(model::Mechanism::kCalibrationReach)) return {};
-  if (anchor.fit.problem.rows.empty() || anchor.surveyed()) return {};
+void add_reach(Anchor& anchor) {
+  if (model::is_ablated(model::Mechanism::kCalibrationReach)) return;
+  if (anchor.fit.problem.rows.empty() || anchor.surveyed()) return;
   const double sigma_m = kReachFactor * anchor.known.nearest_m;
   const Eigen::Matrix3d sum =
-      anchor.so_far.topLeftCorner<3, 3>() + square(sigma_m) * Eigen::Matrix3d::Identity();
-  const Eigen::MatrixXd by_position = anchor.so_far.leftCols<3>();
+      anchor.covariance.topLeftCorner<3, 3>() + square(sigma_m) * Eigen::Matrix3d::Identity();
+  const Eigen::MatrixXd by_position = anchor.covariance.leftCols<3>();
   const Eigen::MatrixXd less = by_position * sum.ldlt().solve(by_position.transpose());
-  if (!less.allFinite()) return {};
-  return -0.5 * (less + less.transpose());
+  if (less.allFinite()) anchor.add(-0.5 * (less + less.transpose()));
 }
 
-Adds nlos_taken_for_los(const Anchor& anchor) {
-  if (!anchor.known.los_states || model::is_ablated(model::Mechanism::kCalibrationBlocking)) return {};
-  const double sigma_m = std::min(kMostMisjudged_m, kMisjudged_m * (1.0 - anchor.known.los_share));
-  Adds out = anchor.nothing();
-  out.diagonal().head<3>().setConstant(square(sigma_m));
-  out.diagonal().segment(3, anchor.tags).setConstant(square(kMisjudgedBeta * sigma_m));
-  return out;
-}
-
-bool is_contradiction(const Anchor& anchor) {
-  return anchor.tags > 0 && contradicts_itself(anchor.known) &&
-         !model::is_ablated(model::Mechanism::kCalibrationBlocking);
-}
-
-Adds contradiction(const Anchor& anchor) {
-  return is_contradiction(anchor) ? common_bias(anchor, kTornSigma_m) : Adds();
-}
-
-Adds contradiction_by_place(const Anchor& anchor) {
-  return is_contradiction(anchor) ? place_to_place(anchor, kTornSigma_m) : Adds();
-}
-
-// Whether all or nearly all ranges are NLOS.
-bool is_always_nlos(const Anchor& anchor) {
-  return anchor.tags > 0 && (is_never_los(anchor.known) || is_hardly_los(anchor.known)) &&
-         !model::is_ablated(model::Mechanism::kCalibrationBlocking);
-}
-
-Adds nlos_common_excess(const Anchor& anchor) {
-  if (!is_always_nlos(anchor)) return {};
-  const std::optional<LosEvidence>& los_states = anchor.known.los_states;
-  if (!los_states) return common_bias(anchor, kExcessSigma_m);
+void add_nlos(Anchor& anchor) {
+  if (model::is_ablated(model::Mechanism::kCalibrationBlocking)) return;
+  const AnchorEvidence& known = anchor.known;
+  // NLOS ranges taken for LOS.
+  if (known.los_states) {
+    const double sigma_m = std::min(kMostMisjudged_m, kMisjudged_m * (1.0 - known.los_share));
+    anchor.add_to_position(square(sigma_m) * Eigen::Matrix3d::Identity());
+    anchor.covariance.diagonal().segment(3, anchor.tags).array() += square(kMisjudgedBeta * sigma_m);
+  }
+  if (anchor.tags == 0) return;
+  if (contradicts_itself(known)) add_bias(kTornSigma_m, kTornSigma_m, anchor);
+  if (!is_never_los(known) && !is_hardly_los(known)) return;
+  if (!known.los_states) return add_bias(kExcessSigma_m, kExcessVariation_m, anchor);
   // The excess of its long NLOS is in the covariance already, unless that passed for short NLOS.
-  return common_bias(anchor, kExcessDiffers_m + los_states->excess_m * los_states->polls(kShortNlos));
-}
-
-Adds nlos_excess_by_place(const Anchor& anchor) {
-  if (!is_always_nlos(anchor)) return {};
-  return place_to_place(anchor, anchor.known.los_states ? kNlosPlaces_m : kExcessVariation_m);
+  add_bias(kExcessDiffers_m + known.los_states->excess_m * known.los_states->polls(kShortNlos), kNlosPlaces_m,
+           anchor);
 }
 
 // Both sides explain the ranges, so the biases follow the height, as in the terms before. Where the position
 // in the plane is weak, they follow by too much to be linear: plaza1 (recorded) has a NEES of 1.7 then,
 // else 1.4. With biases that stay, one tag (simulated) localizes twice as badly.
-Adds across_plane(const Anchor& anchor) {
-  if (!anchor.known.mirror) return {};
-  const Eigen::Matrix3d moment_m2 =
-      mirror_covariance(*anchor.known.mirror, anchor.fit, anchor.known.inflation);
-  const Eigen::Matrix3d position_m2 = anchor.so_far.topLeftCorner<3, 3>();
-  if (horizontal_sigma_m(position_m2) > kWeakSigma_m) return anchor.of_position(moment_m2);
-  const Eigen::MatrixXd response = position_m2.ldlt().solve(anchor.so_far.topRows<3>()).transpose();
-  Adds out = response * moment_m2 * response.transpose();
-  if (!out.allFinite()) return anchor.of_position(moment_m2);
-  return 0.5 * (out + out.transpose());
+void add_mirror_across_plane(Anchor& anchor) {
+  if (!anchor.known.mirror) return;
+  const Eigen::Matrix3d moment_m2 = mirror_covariance(*anchor.known.mirror, anchor.fit);
+  const Eigen::Matrix3d position_m2 = anchor.covariance.topLeftCorner<3, 3>();
+  if (horizontal_sigma_m(position_m2) > kWeakSigma_m) return anchor.add_to_position(moment_m2);
+  const Eigen::MatrixXd response = position_m2.ldlt().solve(anchor.covariance.topRows<3>()).transpose();
+  const Eigen::MatrixXd out = response * moment_m2 * response.transpose();
+  if (!out.allFinite()) return anchor.add_to_position(moment_m2);
+  anchor.add(0.5 * (out + out.transpose()));
 }
 
-Adds across_line(const Anchor& anchor) {
-  if (!anchor.known.side) return {};
-  return anchor.of_position(mirror_covariance(*anchor.known.side, anchor.fit, anchor.known.inflation));
+void add_mirror_across_line(Anchor& anchor) {
+  if (anchor.known.side) anchor.add_to_position(mirror_covariance(*anchor.known.side, anchor.fit));
 }
 
 // Whether one height is about as far below the tags as the other is above: then the mirror test decides.
@@ -178,78 +145,47 @@ bool is_mirrored(const AnchorFit& first, const AnchorFit& whole, const TagSpread
 
 // The first part of the drive alone gave another height than all of it. If they contradict each other, either
 // may be wrong by their difference.
-Adds height_of_beginning(const Anchor& anchor) {
-  if (model::is_ablated(model::Mechanism::kCalibrationShift)) return {};
+void add_height_of_beginning(Anchor& anchor) {
+  if (model::is_ablated(model::Mechanism::kCalibrationShift)) return;
   const AnchorFit& first = anchor.site.beginning[anchor.index];
   if (anchor.site.has_los_states() || anchor.known.moved || anchor.surveyed() ||
       2 * first.problem.rows.size() <= anchor.fit.problem.rows.size() ||
       is_mirrored(first, anchor.fit, anchor.known.spread)) {
-    return {};
+    return;
   }
   const double shift_m = anchor.fit.anchor(2) - first.anchor(2);
   const double variance_m2 =
-      std::max(2.0 * anchor.so_far(2, 2), anchor.site.held_out[anchor.index].height_variance_m2);
-  if (!(square(shift_m) > kHeightChiSquare * variance_m2)) return {};
-  return anchor.of_position(Eigen::Vector3d(0.0, 0.0, square(shift_m)).asDiagonal());
+      std::max(2.0 * anchor.covariance(2, 2), anchor.known.held_out.height_variance_m2);
+  if (square(shift_m) > kHeightChiSquare * variance_m2) anchor.covariance(2, 2) += square(shift_m);
 }
 
 // Error that all anchors share and no range observes.
-Adds frame(const Anchor& anchor) {
+void add_frame_of_poses(Anchor& anchor) {
   const Eigen::Matrix<double, 3, 4> by_frame = model::position_by_frame(anchor.fit.anchor.head<3>());
   const Eigen::Matrix3d shared = by_frame * anchor.site.error.unseen_frame_covariance * by_frame.transpose();
-  return anchor.of_position(0.5 * (shared + shared.transpose()));
+  anchor.add_to_position(0.5 * (shared + shared.transpose()));
 }
-
-struct Rule {
-  const char* name;
-  Adds (*adds)(const Anchor& anchor);
-};
-// The order matters: reach, NLOS and heights depend on the sum of the terms before.
-constexpr std::array kRules{
-    Rule{"parts of the drive (jackknife)", parts_of_drive},
-    Rule{"reach of the ranges", reach},
-    Rule{"NLOS ranges taken for LOS", nlos_taken_for_los},
-    Rule{"ranges that contradict each other: biases", contradiction},
-    Rule{"ranges that contradict each other: position", contradiction_by_place},
-    Rule{"NLOS: common excess", nlos_common_excess},
-    Rule{"NLOS: excess from place to place", nlos_excess_by_place},
-    Rule{"mirror side across the plane", across_plane},
-    Rule{"mirror side across the line", across_line},
-    Rule{"height by the drive's beginning", height_of_beginning},
-    Rule{"frame of the poses", frame},
-};
 
 }  // namespace
 
-std::vector<BudgetTerm> covariance_budget(const Site& site, std::size_t anchor,
-                                          const Eigen::MatrixXd& solved) {
-  const AnchorFit& fit = site.fits[anchor];
+Eigen::MatrixXd covariance_budget(const Site& site, std::size_t index, const Eigen::MatrixXd& solved) {
+  const AnchorFit& fit = site.fits[index];
   const Eigen::Index size = excess_index(fit.problem.tag_count);
-  Anchor inputs{.site = site,
-                .index = anchor,
+  Anchor anchor{.site = site,
+                .index = index,
                 .fit = fit,
-                .known = site.evidence[anchor],
+                .known = site.evidence[index],
                 .tags = static_cast<Eigen::Index>(fit.problem.tag_count),
-                .so_far = solved.topLeftCorner(size, size)};
-  std::vector<BudgetTerm> out{{.name = "ranges", .adds = inputs.so_far}};
-  for (const Rule& rule : kRules) {
-    Eigen::MatrixXd adds = rule.adds(inputs);
-    if (adds.size() == 0) continue;
-    // A survey's position does not depend on the ranges.
-    if (inputs.surveyed()) {
-      adds.topRows<3>().setZero();
-      adds.leftCols<3>().setZero();
-    }
-    inputs.so_far += adds;
-    out.push_back({.name = rule.name, .adds = std::move(adds)});
-  }
-  return out;
-}
-
-Eigen::MatrixXd total(const std::vector<BudgetTerm>& budget) {
-  Eigen::MatrixXd out = budget.front().adds;
-  for (std::size_t i = 1; i < budget.size(); ++i) out += budget[i].adds;
-  return out;
+                .covariance = solved.topLeftCorner(size, size)};
+  // The order matters: reach, NLOS and heights depend on the sum of the terms before.
+  add_parts_of_drive(anchor);
+  add_reach(anchor);
+  add_nlos(anchor);
+  add_mirror_across_plane(anchor);
+  add_mirror_across_line(anchor);
+  add_height_of_beginning(anchor);
+  add_frame_of_poses(anchor);
+  return anchor.covariance;
 }
 
 }  // namespace groma::calibration

@@ -2,7 +2,6 @@
 #pragma once
 
 #include <cstddef>
-#include <vector>
 
 #include <Eigen/Core>
 
@@ -10,16 +9,9 @@
 
 namespace groma::calibration {
 
-// One term: its name, and what it adds to the covariance of the anchor's parameters.
-struct BudgetTerm {
-  const char* name = "";
-  Eigen::MatrixXd adds;
-};
-
-// Terms of one anchor; their sum is its covariance. The first is `solved`, the covariance by ranges, drive
-// error and links, without the NLOS excesses. A term that does not apply is left out.
-[[nodiscard]] std::vector<BudgetTerm> covariance_budget(const Site& site, std::size_t anchor,
-                                                        const Eigen::MatrixXd& solved);
-[[nodiscard]] Eigen::MatrixXd total(const std::vector<BudgetTerm>& budget);
+// Covariance of one anchor's position and terms: the sum of all terms that apply. `solved`: the covariance by
+// ranges, drive error and links.
+[[nodiscard]] Eigen::MatrixXd covariance_budget(const Site& site, std::size_t index,
+                                                const Eigen::MatrixXd& solved);
 
 }  // namespace groma::calibration

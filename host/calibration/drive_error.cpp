@@ -345,10 +345,9 @@ Eigen::MatrixXd influence_of_own_pattern(const AnchorFit& fit) {
   return out;
 }
 
-std::vector<double> inflations(std::span<const Evidence> evidence, double duration_s) {
+std::vector<double> inflations(std::span<const AnchorFit> fits, double duration_s) {
   std::vector<double> out;
-  out.reserve(evidence.size());
-  for (const Evidence& of_anchor : evidence) out.push_back(inflation_within(of_anchor, duration_s));
+  for (const AnchorFit& fit : fits) out.push_back(inflation_within(fit.evidence, duration_s));
   return out;
 }
 
@@ -384,8 +383,8 @@ void settle(Association& association, std::vector<AnchorFit>& fits, bool is_dela
     if (!take_step(association, fits, inflation, unknowns, believed, step, error)) break;
     refine_site(fits, 1);
     // Residuals that the estimate explains are white now; the remaining correlation depends on place.
-    out.evidence = gather_evidence(std::span<const AnchorFit>(fits));
-    inflation = inflations(out.evidence, kWhile_s);
+    gather_evidence(fits);
+    inflation = inflations(fits, kWhile_s);
     if (step.dot((equations.information + believed) * step) < kLastStepSigmas * kLastStepSigmas) break;
   }
   if (prior.delay_sigma_s > kNoDelaySigma_s) {
@@ -419,7 +418,7 @@ DriveError correct_drive(Association& association, std::vector<AnchorFit>& fits)
   for (const AnchorFit& fit : fits) {
     out.added_covariance.push_back(Eigen::MatrixXd::Zero(fit.anchor.size(), fit.anchor.size()));
   }
-  out.evidence = gather_evidence(std::span<const AnchorFit>(fits));
+  gather_evidence(fits);
   const std::optional<Knots> placed = place_knots(fits, kCoarseKnots);
   if (!placed) return out;
   DriftSetup setup;
@@ -430,14 +429,14 @@ DriveError correct_drive(Association& association, std::vector<AnchorFit>& fits)
   if (setup.typical)
     unknowns.knot_scale = scale_knots(unknowns.knots, association.pose_spreads, *setup.typical);
 
-  std::vector<double> inflation = inflations(out.evidence, kMoment_s);
+  std::vector<double> inflation = inflations(fits, kMoment_s);
   JointEquations equations = eliminate_anchors(fits, inflation, unknowns);
-  const auto slow = [&] { return eliminate_anchors(fits, inflations(out.evidence, kWhile_s), unknowns); };
+  const auto slow = [&] { return eliminate_anchors(fits, inflations(fits, kWhile_s), unknowns); };
   SharedPrior prior = likeliest_prior(equations, setup, slow);
   if (nothing_to_correct(equations, unknowns, prior)) {
     // With the inflation of kWhile_s the ranges carry this much less information about what is constant over
     // the drive.
-    const std::vector<double> lasting = inflations(out.evidence, kWhile_s);
+    const std::vector<double> lasting = inflations(fits, kWhile_s);
     const double share = std::accumulate(inflation.begin(), inflation.end(), 0.0) /
                          std::accumulate(lasting.begin(), lasting.end(), 0.0);
     const Eigen::Index delay = unknowns.delay();
@@ -470,9 +469,9 @@ void correct_further(Association& association, std::vector<AnchorFit>& fits, Dri
     const Eigen::Index size = fits[i].anchor.size();
     drive_error.added_covariance[i] = Eigen::MatrixXd::Zero(size, size);
   }
-  drive_error.evidence = gather_evidence(std::span<const AnchorFit>(fits));
+  gather_evidence(fits);
   if (drive_error.shared_gain.empty()) return;
-  settle(association, fits, /*is_delay_open=*/false, inflations(drive_error.evidence, kWhile_s), drive_error);
+  settle(association, fits, /*is_delay_open=*/false, inflations(fits, kWhile_s), drive_error);
 }
 
 }  // namespace groma::calibration

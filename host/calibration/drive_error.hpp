@@ -9,7 +9,6 @@
 #include "host/calibration/association.hpp"
 #include "host/calibration/shared_unknowns.hpp"
 #include "host/calibration/site_solver.hpp"
-#include "host/calibration/uncertainty.hpp"
 
 namespace groma::calibration {
 
@@ -22,8 +21,7 @@ struct BodyError {
 struct DriveError {
   double range_delay_s = 0.0;  // removed if the ranges show it clearly; reported in any case
   double range_delay_sigma_s = 0.0;
-  std::vector<BodyError> body;     // per tag; empty unless the ranges show it clearly
-  std::vector<Evidence> evidence;  // of each fit as returned
+  std::vector<BodyError> body;  // per tag; empty unless the ranges show it clearly
   // Covariance that the error's remaining uncertainty adds to each anchor, in the order of the fits.
   std::vector<Eigen::MatrixXd> added_covariance;
   // Correlation of the anchors: covariance of the shared unknowns, and the response of each anchor's unknowns
@@ -42,7 +40,7 @@ struct DriveError {
 };
 
 // Estimates the error, moves the antennas of the association's observations (which the fits refer to) by it,
-// subtracts the patterns from the ranges, and solves the fits again.
+// subtracts the patterns from the ranges, and solves the fits again. Gathers the fits' evidence.
 [[nodiscard]] DriveError correct_drive(Association& association, std::vector<AnchorFit>& fits);
 // Continues from there after the fits' NLOS states have changed; the prior stays.
 void correct_further(Association& association, std::vector<AnchorFit>& fits, DriveError& drive_error);

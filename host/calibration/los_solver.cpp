@@ -115,23 +115,20 @@ std::vector<LosVector> no_residuals(std::span<const Poll> polls) {
 
 // Whether too long ranges are correlated in time and clearly more frequent than too short ones.
 bool long_residuals_are_correlated(const AnchorFit& fit) {
-  const std::size_t tags = fit.problem.tag_count;
   double rows = 0.0;
   double neighbours = 0.0;
   double too_long = 0.0;
   double too_short = 0.0;
   double both = 0.0;
   constexpr int kNone = -1;
-  std::vector<int> last(tags, kNone);
+  std::vector<int> last(fit.problem.tag_count, kNone);
   for (const Observation& row : fit.problem.rows) {
-    const RobustKernel& kernel = fit.kernels[row.tag];
-    const double residual_m = row.range_m - predict(row, fit.anchor, tags).range_m;
-    const double limit_m =
-        kLong * kernel.shape().scale_m / noise_share(kernel, pose_variance_m2(row, fit.anchor, tags));
-    const int is_long = residual_m > limit_m ? 1 : 0;
+    const RowAt at = row_at(fit, row);
+    const double limit_m = kLong * fit.kernels[row.tag].shape().scale_m / at.noise_share;
+    const int is_long = at.residual_m > limit_m ? 1 : 0;
     rows += 1.0;
     too_long += is_long;
-    too_short += residual_m < -limit_m ? 1.0 : 0.0;
+    too_short += at.residual_m < -limit_m ? 1.0 : 0.0;
     if (last[row.tag] != kNone) {
       neighbours += 1.0;
       both += is_long * last[row.tag];
@@ -256,7 +253,7 @@ void LosSolver::weigh(std::size_t a, const std::vector<Poll>& polls, PairPass& p
     const double r = residual_m(row, fit.anchor, tags);
     const double variance_m2 = pose_variance_m2(row, fit.anchor, tags);
     const auto density = [&](const RobustKernel& kernel, double excess_m) {
-      return stretched(kernel, noise_share(kernel, variance_m2), r - excess_m).density;
+      return widened_value(kernel, variance_m2, r - excess_m).density;
     };
     const AnchorLos* before = had_long_nlos(fit) ? fit.problem.los_states : nullptr;
     const bool in_episode = before != nullptr && before->rows[row.index].episode != kNoEpisode;

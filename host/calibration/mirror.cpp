@@ -9,6 +9,8 @@
 #include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
 
+#include "host/calibration/comparison.hpp"
+#include "host/calibration/site.hpp"
 #include "host/model/ablation.hpp"
 
 namespace groma::calibration {
@@ -38,6 +40,11 @@ constexpr double kProbes[] = {0.9, 0.35, -0.35, -0.9};
 // Holds the anchor at a distance from the tags while the other unknowns are solved: by hand, well below the
 // sigmas of heights.
 constexpr double kHoldSigma_m = 0.01;
+// Most rounds of the refinement after the tests: by hand, a bound on time.
+constexpr int kMirrorRounds = 10;
+// Sigma per axis between the frames of two drives, in addition to the earlier calibration's covariance. By
+// hand; Update.ByAWeakDriveIsBetterThanEitherAloneOverManyDrives holds with it.
+constexpr double kFrameSigma_m = 0.1;
 
 double height_above(const TagSpread& spread, int axis, const AnchorVector& anchor) {
   return spread.axes.col(axis).dot(anchor.head<3>() - spread.center_m);
@@ -118,6 +125,18 @@ double difference_m(const AnchorProblem& problem, const AnchorVector& one, const
   return std::sqrt(sum_m2 / static_cast<double>(problem.rows.size()));
 }
 
+// None if the earlier calibration has no position for the anchor. A height that is not trusted gets so large
+// a variance that it decides nothing.
+std::optional<EarlierPlace> earlier_place(const model::Calibration& earlier, model::NodeId id) {
+  const model::AnchorCalibration* anchor = model::find_anchor(earlier, id);
+  if (anchor == nullptr || !model::has_position(*anchor)) return std::nullopt;
+  EarlierPlace out{.position_m = anchor->position_m,
+                   .covariance_m2 = anchor->covariance.topLeftCorner<3, 3>()};
+  out.covariance_m2.diagonal().array() += kFrameSigma_m * kFrameSigma_m;
+  if (anchor->verdict != model::AnchorVerdict::kOk) out.covariance_m2(2, 2) += kWeakHeight_m * kWeakHeight_m;
+  return out;
+}
+
 }  // namespace
 
 Eigen::Vector3d TagSpread::mirror(const Eigen::Vector3d& point_m, int axis) const noexcept {
@@ -176,23 +195,47 @@ void test_both_mirrors(AnchorFit& fit) {
   for (const int axis : {kAcrossLine, kAcrossPlane}) static_cast<void>(test_mirror(fit, spread, axis));
 }
 
-void weigh_by_earlier(const EarlierPlace& earlier, double inflation, AnchorFit& fit,
-                      MirrorHypothesis& mirror) {
+void weigh_by_earlier(const EarlierPlace& earlier, AnchorFit& fit, MirrorHypothesis& mirror) {
   const Eigen::LDLT<Eigen::Matrix3d> factors(earlier.covariance_m2);
   const auto cost = [&](const AnchorVector& anchor) {
     const Eigen::Vector3d offset_m = anchor.head<3>() - earlier.position_m;
     return std::min(kMovedCost, 0.5 * offset_m.dot(factors.solve(offset_m)));
   };
-  mirror.cost_excess += inflation * (cost(mirror.anchor) - cost(fit.anchor));
+  mirror.cost_excess += fit.inflation * (cost(mirror.anchor) - cost(fit.anchor));
   if (mirror.cost_excess >= 0.0) return;
   std::swap(fit.anchor, mirror.anchor);
   fit.cost = robust_cost(fit);
   mirror.cost_excess = -mirror.cost_excess;
 }
 
-Eigen::Matrix3d mirror_covariance(const MirrorHypothesis& mirror, const AnchorFit& fit, double inflation) {
+void test_mirrors(Site& site, const model::Calibration* earlier) {
+  site.evidence.resize(site.fits.size());
+  for (std::size_t i = 0; i < site.fits.size(); ++i) {
+    AnchorFit& fit = site.fits[i];
+    AnchorEvidence& evidence = site.evidence[i];
+    if (fit.problem.rows.empty()) continue;
+    evidence.spread = tag_spread(fit.problem.rows);
+    if (fit.problem.position.surveyed) continue;
+    // The ranges of an anchor that moved during the drive are not from its earlier place.
+    std::optional<EarlierPlace> place;
+    if (earlier != nullptr && site.paths[i].moved_at_s.empty()) {
+      place = earlier_place(*earlier, site.association.anchors[i].id);
+    }
+    for (const auto& [axis, mirror] :
+         {std::pair{kAcrossLine, &evidence.side}, {kAcrossPlane, &evidence.mirror}}) {
+      *mirror = test_mirror(fit, evidence.spread, axis);
+      if (!place) continue;
+      gather_evidence({&fit, 1});
+      estimate_inflation({&fit, 1});
+      weigh_by_earlier(*place, fit, **mirror);
+    }
+  }
+  refine_site(site.fits, kMirrorRounds);
+}
+
+Eigen::Matrix3d mirror_covariance(const MirrorHypothesis& mirror, const AnchorFit& fit) {
   if (model::is_ablated(model::Mechanism::kCalibrationMirror)) return Eigen::Matrix3d::Zero();
-  const double odds = std::exp(-mirror.cost_excess / std::max(1.0, inflation));
+  const double odds = std::exp(-mirror.cost_excess / std::max(1.0, fit.inflation));
   const Eigen::Vector3d offset_m = mirror.anchor.head<3>() - fit.anchor.head<3>();
   return odds / (1.0 + odds) * offset_m * offset_m.transpose();
 }

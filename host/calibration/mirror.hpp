@@ -1,4 +1,4 @@
-// Tests the mirror sides of an anchor: across the plane of the tags, and across the line of the drive.
+// Tests the mirror sides of anchors: across the plane of the tags, and across the line of the drive.
 #pragma once
 
 #include <span>
@@ -7,8 +7,11 @@
 
 #include "host/calibration/anchor_solver.hpp"
 #include "host/calibration/association.hpp"
+#include "host/model/calibration.hpp"
 
 namespace groma::calibration {
+
+struct Site;
 
 // Axes of TagSpread to mirror along: across the line of the drive, across the plane of the tags.
 inline constexpr int kAcrossLine = 1;
@@ -44,14 +47,17 @@ struct EarlierPlace {
   Eigen::Matrix3d covariance_m2 = Eigen::Matrix3d::Identity();  // includes the drives' frames
 };
 // Adds the cost of the earlier position to the hypothesis' excess; it is limited, because the anchor may have
-// been moved, and multiplied by `inflation`, because the excess is for independent residuals. If the excess
-// becomes negative, fit and hypothesis swap places.
-void weigh_by_earlier(const EarlierPlace& earlier, double inflation, AnchorFit& fit,
-                      MirrorHypothesis& mirror);
+// been moved, and multiplied by the fit's inflation, because the excess is for independent residuals. If the
+// excess becomes negative, fit and hypothesis swap places.
+void weigh_by_earlier(const EarlierPlace& earlier, AnchorFit& fit, MirrorHypothesis& mirror);
+
+// Tests both mirror positions of each anchor and refines all anchors. A fit moves to the position that
+// explains the ranges better, or that the earlier calibration (may be null) prefers. Fills in its part of the
+// evidence.
+void test_mirrors(Site& site, const model::Calibration* earlier);
 
 // What the mirror hypothesis adds to the position's covariance, m^2: the second moment about the fit if the
-// hypothesis is true with the probability that its excess divided by `inflation` gives.
-[[nodiscard]] Eigen::Matrix3d mirror_covariance(const MirrorHypothesis& mirror, const AnchorFit& fit,
-                                                double inflation);
+// hypothesis is true with the probability that its excess divided by the fit's inflation gives.
+[[nodiscard]] Eigen::Matrix3d mirror_covariance(const MirrorHypothesis& mirror, const AnchorFit& fit);
 
 }  // namespace groma::calibration

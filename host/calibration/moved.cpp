@@ -11,7 +11,6 @@
 #include <Eigen/Cholesky>
 
 #include "host/calibration/mirror.hpp"
-#include "host/calibration/uncertainty.hpp"
 
 namespace groma::calibration {
 namespace {
@@ -332,8 +331,6 @@ struct Piece {
 struct Pieces {
   std::vector<Piece> places;
   std::vector<AnchorFit> fits;
-  std::vector<Evidence> evidence;
-  std::vector<double> inflation;
   SiteLos los_states;
 };
 
@@ -374,8 +371,8 @@ Pieces solve_pieces(std::span<const Suspicion> suspicions, const PollTable& tabl
   if (out.fits.empty()) return out;
   refine_site(out.fits, kMovedRounds);
   if (!los_states.anchors.empty()) out.los_states = solve_los(piece_table, los_states.model, out.fits);
-  out.evidence = gather_evidence(std::span<const AnchorFit>(out.fits));
-  out.inflation = score_inflation(out.evidence);
+  gather_evidence(out.fits);
+  estimate_inflation(out.fits);
   return out;
 }
 
@@ -383,9 +380,9 @@ Pieces solve_pieces(std::span<const Suspicion> suspicions, const PollTable& tabl
 std::optional<Shift> clear_shift(const Pieces& pieces, std::size_t piece) {
   const Eigen::Index size = excess_index(pieces.fits[piece].problem.tag_count);
   // Residuals correlated in one piece are so in the other, even if it is too short to show it.
-  const double inflation = std::max(pieces.inflation[piece], pieces.inflation[piece + 1]);
+  const double inflation = std::max(pieces.fits[piece].inflation, pieces.fits[piece + 1].inflation);
   const auto covariance = [&](std::size_t i) -> Eigen::MatrixXd {
-    return anchor_covariance(pieces.evidence[i], inflation).topLeftCorner(size, size);
+    return anchor_covariance(pieces.fits[i].evidence, inflation).topLeftCorner(size, size);
   };
   const Shift shift = shift_between(pieces.fits[piece].anchor.head(size), covariance(piece),
                                     pieces.fits[piece + 1].anchor.head(size), covariance(piece + 1));
@@ -424,16 +421,16 @@ std::optional<Shift> move_to_next(Pieces& pieces, std::size_t piece) {
     if (!pieces.los_states.poll_shares.empty() && pieces.los_states.poll_shares[i](kLos) <= kMinLos)
       return std::nullopt;
     const auto rows = static_cast<double>(pieces.fits[i].problem.rows.size());
-    if (rows < kLeastRowsByThemselves * pieces.inflation[i]) return std::nullopt;
+    if (rows < kLeastRowsByThemselves * pieces.fits[i].inflation) return std::nullopt;
   }
   if (!clear_shift(pieces, piece)) return std::nullopt;
   // Not a move if one of the two only settled on another side of the tags.
   for (const std::size_t i : {piece, piece + 1}) {
     test_both_mirrors(pieces.fits[i]);
-    pieces.evidence[i] = gather_evidence(pieces.fits[i]);
+    gather_evidence({&pieces.fits[i], 1});
   }
   std::optional<Shift> shift = clear_shift(pieces, piece);
-  const double inflation = std::max(pieces.inflation[piece], pieces.inflation[piece + 1]);
+  const double inflation = std::max(pieces.fits[piece].inflation, pieces.fits[piece + 1].inflation);
   if (shift && excess_of_one_place(pieces, piece) < kMinSquareSigmas * inflation) return std::nullopt;
   return shift;
 }

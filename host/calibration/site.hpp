@@ -1,8 +1,6 @@
 // Working state of calibrate(): each step fills in its part.
 #pragma once
 
-#include <limits>
-#include <optional>
 #include <vector>
 
 #include "host/calibration/association.hpp"
@@ -15,14 +13,6 @@
 
 namespace groma::calibration {
 
-// Score of the last part of the drive against the solution of the part before it.
-struct HeldOut {
-  std::optional<double> rms_m;
-  std::optional<double> robust_rms_m;
-  std::optional<double> share_of_scale;  // robust rms over its prediction; none if the fit cannot predict it
-  double height_variance_m2 = std::numeric_limits<double>::infinity();  // of the fit's height
-};
-
 // Vectors outside `association` are in the order of association.anchors.
 struct Site {
   Association association;
@@ -33,7 +23,6 @@ struct Site {
   SiteLos los_states;                // empty if no pair is NLOS for longer than a moment
   std::vector<AnchorPath> paths;
   std::vector<AnchorEvidence> evidence;
-  std::vector<HeldOut> held_out;
   DriveError error;
 
   [[nodiscard]] bool has_los_states() const noexcept { return !los_states.anchors.empty(); }

@@ -117,12 +117,11 @@ std::vector<std::vector<WeighedResidual>> sample_residuals(const AnchorFit& fit)
   std::vector<std::size_t> seen(tags, 0);
   for (const Observation& row : fit.problem.rows) {
     if (seen[row.tag]++ % stride != 0) continue;
-    const double r = residual_m(row, fit.anchor, tags);
+    const RowAt at = row_at(fit, row);
     // The larger the pose's part of a residual, the less it shows of the kernel's variance.
-    const double share = noise_share(fit.kernels[row.tag], pose_variance_m2(row, fit.anchor, tags));
-    double weight = share * share * share * share;
-    if (fit.problem.los_states != nullptr) weight *= row_at(fit, row).value.los_count;
-    out[row.tag].push_back({.residual_m = share * r, .weight = weight});
+    const double share = at.noise_share;
+    out[row.tag].push_back(
+        {.residual_m = share * at.residual_m, .weight = share * share * share * share * at.value.los_count});
   }
   return out;
 }

@@ -202,7 +202,7 @@ Opinion judge_position(const AnchorEvidence& evidence, const model::AnchorCalibr
   }
   // Reflections at the end of the drive say nothing against a survey.
   const bool is_reflected = evidence.surveyed && contradicts_itself(evidence);
-  if (!is_reflected && evidence.held_out_z && *evidence.held_out_z > kHeldOutLimit) {
+  if (!is_reflected && evidence.held_out.share_of_scale.value_or(0.0) > kHeldOutLimit) {
     return {AnchorVerdict::kWeak,
             "the end of the drive contradicts its beginning: drive again, and check whether it was moved"};
   }
@@ -246,7 +246,7 @@ void judge_anchor(const AnchorEvidence& evidence, model::AnchorCalibration& anch
   if (evidence.moved) {
     AnchorEvidence since = evidence;
     since.moved.reset();
-    since.held_out_z.reset();
+    since.held_out.share_of_scale.reset();
     judge_anchor(since, anchor);
     if (anchor.verdict == AnchorVerdict::kNoData) return;
     opinion = judge_move(*evidence.moved, model::is_usable(anchor.verdict));

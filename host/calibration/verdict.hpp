@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstddef>
+#include <limits>
 #include <optional>
 #include <span>
 #include <vector>
@@ -39,20 +40,28 @@ struct MoveEvidence {
   std::optional<model::NodeId> stand_in = std::nullopt;  // an anchor whose place it took
 };
 
+// Score of the last part of the drive against the solution of the part before it.
+struct HeldOut {
+  std::optional<double> rms_m;
+  std::optional<double> robust_rms_m;
+  std::optional<double> share_of_scale;  // robust rms over its prediction; none if the fit cannot predict it
+  double height_variance_m2 = std::numeric_limits<double>::infinity();  // of the fit's height
+};
+
 // Statistics of one anchor beside its solution.
 struct AnchorEvidence {
-  TagSpread spread;                            // of the antennas that ranged to it
-  bool surveyed = false;                       // its position is known, and only its biases are estimated
-  std::size_t rows = 0;                        // ranges with a pose
-  double nearest_m = 0.0;                      // closest antenna
-  std::optional<MirrorHypothesis> mirror;      // across the plane of the tags
-  std::optional<MirrorHypothesis> side;        // across the line of the drive
-  double los_share = 0.0;                      // LOS share of its ranges
-  double ignored_share = 0.0;                  // share of its ranges with too weak a first path
-  std::optional<double> held_out_z;            // rms of held-out residuals over its prediction
+  TagSpread spread;                        // of the antennas that ranged to it
+  bool surveyed = false;                   // its position is known, and only its biases are estimated
+  std::size_t rows = 0;                    // ranges with a pose
+  double nearest_m = 0.0;                  // closest antenna
+  std::optional<MirrorHypothesis> mirror;  // across the plane of the tags
+  std::optional<MirrorHypothesis> side;    // across the line of the drive
+  double los_share = 0.0;                  // LOS share of its ranges
+  double ignored_share = 0.0;              // share of its ranges with too weak a first path
+  HeldOut held_out;
   double scale_ratio = 1.0;                    // its noise over the site's median
   double count_ratio = 1.0;                    // its ranges over the site's median
-  double inflation = 1.0;                      // score_inflation(): residuals correlated in time
+  double inflation = 1.0;                      // estimate_inflation(): residuals correlated in time
   double flicker = 1.0;                        // range-to-range scatter over the site's noise
   std::optional<MoveEvidence> moved;           // during the drive
   std::optional<Eigen::Vector3d> duplicate_m;  // a second place with its id

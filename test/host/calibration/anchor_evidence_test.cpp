@@ -19,7 +19,6 @@ TEST(AnchorEvidence, CountsRangesThatNlosDoesNotExplain) {
   site.association.anchors.resize(1);
   site.fits.resize(1);
   site.paths.resize(1);
-  site.held_out.resize(1);
   site.evidence.resize(1);
   site.los_states.anchors.resize(1);
   site.los_states.poll_shares.assign(1, LosVector(0.9, 0.05, 0.05));
@@ -29,7 +28,7 @@ TEST(AnchorEvidence, CountsRangesThatNlosDoesNotExplain) {
     fitted[0].push_back(
         {.t_s = 0.1 * i, .tag_id = 1, .distance_m = 5.0 + 0.1 * i, .residual_m = residual_m, .los = 0.8});
   }
-  gather_anchor_evidence(site, fitted, std::vector<double>{1.0});
+  gather_anchor_evidence(site, fitted);
   const AnchorEvidence& found = site.evidence[0];
   ASSERT_TRUE(found.los_states.has_value());
   EXPECT_NEAR(found.los_states->far_share, 0.10, 1e-12);

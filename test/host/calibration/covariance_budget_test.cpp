@@ -29,13 +29,12 @@ class CovarianceBudget : public ::testing::Test {
     fit.anchor.resize(kUnknowns);
     fit.anchor << 4.0, 3.0, 2.0, 0.0, 1.0;
     site_.beginning.resize(1);
-    site_.held_out.resize(1);
     AnchorEvidence& evidence = site_.evidence.emplace_back();
     evidence.rows = rows_.size();
     evidence.nearest_m = kNearest_m;
     evidence.los_share = 0.95;
   }
-  [[nodiscard]] Eigen::MatrixXd budget() const { return total(covariance_budget(site_, 0, solved_)); }
+  [[nodiscard]] Eigen::MatrixXd budget() const { return covariance_budget(site_, 0, solved_); }
 
   std::vector<Observation> rows_{100};
   Site site_;
@@ -108,9 +107,9 @@ TEST_F(CovarianceBudget, AnotherHeightByTheBeginningCountsOnlyWhereItWasKnown) {
   first = site_.fits[0];
   first.problem.rows = std::span(rows_).first(60);
   first.anchor(2) = 3.0;
-  site_.held_out[0] = score_held_out(first, {}, 0.0);
+  site_.evidence[0].held_out = score_held_out(first, {}, 0.0);
   EXPECT_NEAR(budget()(2, 2), before_m2, 1e-12);
-  site_.held_out[0].height_variance_m2 = 0.01;
+  site_.evidence[0].held_out.height_variance_m2 = 0.01;
   EXPECT_NEAR(budget()(2, 2), before_m2 + 1.0, 1e-9);
 }
 

@@ -27,12 +27,13 @@ TEST(WeighByEarlier, AddsTheCostOfTheEarlierPlace) {
     AnchorFit fit;
     fit.problem.tag_count = 1;
     fit.kernels.resize(1);
+    fit.inflation = kInflation;
     fit.anchor = anchor_at(Eigen::Vector3d::UnitZ(), 1, {});
     MirrorHypothesis mirror{.anchor = fit.anchor, .cost_excess = 2.0};
     mirror.anchor(2) = -1.0;
     weigh_by_earlier(
         {.position_m = {0.0, 0.0, expected.earlier_z_m}, .covariance_m2 = 0.25 * Eigen::Matrix3d::Identity()},
-        kInflation, fit, mirror);
+        fit, mirror);
     EXPECT_EQ(fit.anchor(2), expected.z_m);
     EXPECT_EQ(mirror.anchor(2), -expected.z_m);
     EXPECT_NEAR(mirror.cost_excess, expected.cost_excess, 1e-9);

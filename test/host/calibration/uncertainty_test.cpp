@@ -1,5 +1,3 @@
-#include "host/calibration/uncertainty.hpp"
-
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -11,6 +9,7 @@
 #include <Eigen/Cholesky>
 #include <Eigen/LU>
 
+#include "host/calibration/anchor_solver.hpp"
 #include "test/host/calibration/site_simulation.hpp"
 
 namespace groma::calibration {

@@ -55,7 +55,7 @@ TEST(JudgeAnchor, ReflectionsSayNothingAgainstASurveyedPosition) {
   EXPECT_EQ(verdict_of(evidence), AnchorVerdict::kOk);
   evidence.los_states->polls = {0.2, 0.3, 0.5};
   EXPECT_EQ(verdict_of(evidence), AnchorVerdict::kOk) << "hardly in LOS: only its biases are less certain";
-  evidence.held_out_z = 5.0;
+  evidence.held_out.share_of_scale = 5.0;
   EXPECT_EQ(verdict_of(evidence), AnchorVerdict::kOk);
   evidence.los_states->short_share = 0.05;
   EXPECT_EQ(verdict_of(evidence), AnchorVerdict::kWeak) << "nothing shortens a range";
