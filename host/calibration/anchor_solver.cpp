@@ -1,7 +1,7 @@
 #include "host/calibration/anchor_solver.hpp"
 
 #include <cmath>
-#include <iterator>
+#include <limits>
 #include <utility>
 
 #include <Eigen/Cholesky>
@@ -135,7 +135,7 @@ class Linearizer {
   Linearizer(const AnchorProblem& problem, std::span<const RobustKernel> kernels)
       : problem_(problem),
         kernels_(kernels),
-        columns_(problem.rows, problem.tag_count),
+        columns_(columns_by_tag(problem.rows, problem.tag_count)),
         prior_(information_of_priors(problem)),
         prior_mean_(anchor_at(problem.position.mean_m, problem.tag_count, problem.priors)) {}
 
@@ -158,6 +158,7 @@ class Linearizer {
 
  private:
   void add_rows(std::size_t tag, const AnchorVector& anchor, CostSum& cost, NormalEquations& out) const {
+    const RowColumns& columns = columns_[tag];
     const model::TermVector terms = terms_of(anchor, tag, problem_.tag_count);
     // Sums over the ranges of weight x x^T (lower triangle) and of slope x. Times `factor`, x = (direction,
     // by_terms()) is the derivative of eq. (12).
@@ -165,11 +166,11 @@ class Linearizer {
     factor.head<3>().setConstant(-model::scale_of(terms));
     PairBlock square = PairBlock::Zero();
     PairRow slope = PairRow::Zero();
-    for (Eigen::Index block = 0; block < columns_.blocks(tag); ++block) {
+    for (Eigen::Index block = 0; block < columns.blocks(); ++block) {
       std::array<Lanes, model::kPairSize> x;
       for (std::size_t axis = 0; axis < 3; ++axis) {
         const auto column = static_cast<Eigen::Index>(axis);
-        x[axis] = columns_.at(tag, block, RowColumns::kAntenna + column) - anchor(column);
+        x[axis] = columns.at(block, RowColumns::kAntenna + column) - anchor(column);
       }
       const Lanes distance_m = (x[0].square() + x[1].square() + x[2].square()).sqrt();
       const Lanes inverse = (distance_m > model::kMinDistance_m).select(1.0 / distance_m, 0.0);
@@ -178,9 +179,9 @@ class Linearizer {
       Lanes expected_m = terms(0) * x[3];
       for (Eigen::Index term = 1; term < terms.size(); ++term)
         expected_m += terms(term) * x[static_cast<std::size_t>(3 + term)];
-      const Lanes residual_m = columns_.at(tag, block, RowColumns::kRange) - expected_m;
+      const Lanes residual_m = columns.at(block, RowColumns::kRange) - expected_m;
       const KernelLanes value = value_at(tag, block, factor, x, residual_m, anchor, out);
-      cost.add(value.density, columns_.rows_in(tag, block));
+      cost.add(value.density, columns.rows_in(block));
       for (Eigen::Index column = 0; column < factor.size(); ++column) {
         const Lanes& by = x[static_cast<std::size_t>(column)];
         const Lanes weighted = value.weight * by;
@@ -205,12 +206,11 @@ class Linearizer {
   [[nodiscard]] KernelLanes value_at(std::size_t tag, Eigen::Index block, const PairRow& factor,
                                      const std::array<Lanes, model::kPairSize>& x, const Lanes& residual_m,
                                      const AnchorVector& anchor, NormalEquations& out) const {
+    const RowColumns& columns = columns_[tag];
     Lanes variance_m2 = Lanes::Zero();
     Lanes share = Lanes::Ones();
-    if (columns_.has_spread()) {
-      const auto spread_m2 = [&](Eigen::Index term) {
-        return columns_.at(tag, block, RowColumns::kSpread + term);
-      };
+    if (columns.has_spread) {
+      const auto spread_m2 = [&](Eigen::Index term) { return columns.at(block, RowColumns::kSpread + term); };
       const Lanes j_x = factor(0) * x[0];
       const Lanes j_y = factor(1) * x[1];
       variance_m2 =
@@ -219,14 +219,14 @@ class Linearizer {
       share = scale_m / (scale_m * scale_m + variance_m2).sqrt();
     }
     KernelLanes value = kernels_[tag].at(share * residual_m);
-    if (columns_.has_spread()) {
+    if (columns.has_spread) {
       value.density *= share;
       value.slope *= share;
       value.weight *= share.square();
     }
     if (problem_.los_states == nullptr) return value;
-    for (Eigen::Index lane = 0; lane < columns_.rows_in(tag, block); ++lane) {
-      const std::uint32_t row = columns_.index(tag, block, lane);
+    for (Eigen::Index lane = 0; lane < columns.rows_in(block); ++lane) {
+      const std::uint32_t row = columns.index[static_cast<std::size_t>(block * kLanes + lane)];
       const RowValue whole =
           value_of(problem_, row,
                    {.density = value.density(lane), .slope = value.slope(lane), .weight = value.weight(lane)},
@@ -259,7 +259,7 @@ class Linearizer {
 
   const AnchorProblem& problem_;
   std::span<const RobustKernel> kernels_;
-  RowColumns columns_;
+  std::vector<RowColumns> columns_;  // by tag
   Eigen::MatrixXd prior_;
   AnchorVector prior_mean_;  // without the excesses
 };
@@ -368,6 +368,22 @@ double significant_ratio(std::span<const Scatter> levels, double dimensions) {
 
 }  // namespace
 
+Eigen::Index excess_index(std::size_t tag_count) noexcept {
+  return model::anchor_size(static_cast<Eigen::Index>(tag_count));
+}
+
+Eigen::Index episode_index(std::int32_t episode, std::size_t tag_count) noexcept {
+  return excess_index(tag_count) + 1 + episode;
+}
+
+PairIndex pair_index(std::size_t tag, std::size_t tag_count) noexcept {
+  return model::pair_indices(static_cast<Eigen::Index>(tag), static_cast<Eigen::Index>(tag_count));
+}
+
+model::TermVector terms_of(const AnchorVector& anchor, std::size_t tag, std::size_t tag_count) noexcept {
+  return model::terms_of(anchor, static_cast<Eigen::Index>(tag), static_cast<Eigen::Index>(tag_count));
+}
+
 model::AntennaPrediction predict(const Observation& row, const AnchorVector& anchor,
                                  std::size_t tag_count) noexcept {
   return model::predict_antenna_range(row.tag_m, anchor.head<3>(), terms_of(anchor, row.tag, tag_count));
@@ -422,6 +438,24 @@ RowAt row_at(const AnchorFit& fit, const Observation& row) noexcept {
                        out.residual_m, fit.anchor, variance_m2);
   out.j.head<3>() = -out.predicted.scale * out.predicted.direction;
   out.j.tail<model::kPairSize - 3>() = out.predicted.d_terms;
+  return out;
+}
+
+std::vector<RowColumns> columns_by_tag(std::span<const Observation> rows, std::size_t tag_count) {
+  std::vector<RowColumns> out(tag_count);
+  for (const Observation& row : rows) out[row.tag].index.push_back(row.index);
+  for (RowColumns& tag : out) {
+    const Eigen::Index blocks = (std::ssize(tag.index) + kLanes - 1) / kLanes;
+    tag.columns.setZero(blocks * kLanes, Eigen::NoChange);
+    tag.columns.col(RowColumns::kRange).setConstant(std::numeric_limits<double>::quiet_NaN());
+  }
+  std::vector<Eigen::Index> next(tag_count, 0);
+  for (const Observation& row : rows) {
+    RowColumns& tag = out[row.tag];
+    tag.columns.row(next[row.tag]++) << row.tag_m.transpose().array(), row.range_m,
+        row.pose_spread_m2.cast<double>().transpose().array();
+    tag.has_spread = tag.has_spread || !row.pose_spread_m2.isZero(0.0F);
+  }
   return out;
 }
 
@@ -567,11 +601,15 @@ void estimate_inflation(std::span<AnchorFit> fits) {
   for (AnchorFit& fit : fits) fit.inflation = std::max(fit.inflation, common);
 }
 
-double inflation_within(const Evidence& evidence, double duration_s) {
+std::vector<double> inflations_within(std::span<const AnchorFit> fits, double duration_s) {
   std::size_t count = 0;
   for (double block_s = kScoreBlock_s; block_s <= duration_s && count < kBlockLevels; block_s *= 2.0) ++count;
-  return significant_ratio(std::span(evidence.scatter).first(count),
-                           static_cast<double>(evidence.information.rows()));
+  std::vector<double> out;
+  for (const AnchorFit& fit : fits) {
+    out.push_back(significant_ratio(std::span(fit.evidence.scatter).first(count),
+                                    static_cast<double>(fit.evidence.information.rows())));
+  }
+  return out;
 }
 
 std::optional<Eigen::Matrix3d> jackknife_covariance(const AnchorFit& fit) {

@@ -6,7 +6,7 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
-#include <limits>
+#include <iterator>
 #include <optional>
 #include <span>
 #include <vector>
@@ -65,21 +65,14 @@ struct AnchorLos {
 using AnchorVector = Eigen::VectorXd;
 using model::anchor_at;
 
-[[nodiscard]] inline Eigen::Index excess_index(std::size_t tag_count) noexcept {
-  return model::anchor_size(static_cast<Eigen::Index>(tag_count));
-}
-[[nodiscard]] inline Eigen::Index episode_index(std::int32_t episode, std::size_t tag_count) noexcept {
-  return excess_index(tag_count) + 1 + episode;
-}
+// Index of the common excess, and of an episode's.
+[[nodiscard]] Eigen::Index excess_index(std::size_t tag_count) noexcept;
+[[nodiscard]] Eigen::Index episode_index(std::int32_t episode, std::size_t tag_count) noexcept;
 // Position and terms of one pair.
 using PairIndex = std::array<Eigen::Index, model::kPairSize>;
-[[nodiscard]] inline PairIndex pair_index(std::size_t tag, std::size_t tag_count) noexcept {
-  return model::pair_indices(static_cast<Eigen::Index>(tag), static_cast<Eigen::Index>(tag_count));
-}
-[[nodiscard]] inline model::TermVector terms_of(const AnchorVector& anchor, std::size_t tag,
-                                                std::size_t tag_count) noexcept {
-  return model::terms_of(anchor, static_cast<Eigen::Index>(tag), static_cast<Eigen::Index>(tag_count));
-}
+[[nodiscard]] PairIndex pair_index(std::size_t tag, std::size_t tag_count) noexcept;
+[[nodiscard]] model::TermVector terms_of(const AnchorVector& anchor, std::size_t tag,
+                                         std::size_t tag_count) noexcept;
 
 // Gaussian prior of the position; a zero eigenvalue leaves a direction open.
 struct PositionPrior {
@@ -165,72 +158,27 @@ struct RowAt {
 };
 [[nodiscard]] RowAt row_at(const AnchorFit& fit, const Observation& row) noexcept;
 
-// An anchor's observations as inner loops read them: tag by tag in blocks of kLanes, column by column. The
-// last block of a tag is padded with NaN ranges, which have no weight.
-class RowColumns {
- public:
+// The observations of one tag as inner loops read them: in blocks of kLanes, column by column. The last block
+// is padded with NaN ranges, which have no weight.
+struct RowColumns {
   static constexpr Eigen::Index kAntenna = 0;  // x, y, z, m
   static constexpr Eigen::Index kRange = 3;    // m
   static constexpr Eigen::Index kSpread = 4;   // Observation::pose_spread_m2
 
-  RowColumns(std::span<const Observation> rows, std::size_t tag_count) : tags_(tag_count) {
-    for (const Observation& row : rows) ++tags_[row.tag].count;
-    std::vector<Eigen::Index> next;
-    Eigen::Index size = 0;
-    for (std::size_t tag = 0; tag < tag_count; ++tag) {
-      tags_[tag].first = size;
-      next.push_back(size);
-      size += blocks(tag) * kLanes;
-    }
-    columns_.resize(size, kSpread + 3);
-    index_.resize(static_cast<std::size_t>(size));
-    for (const Observation& row : rows) {
-      const Eigen::Index at = next[row.tag]++;
-      for (Eigen::Index axis = 0; axis < 3; ++axis) columns_(at, kAntenna + axis) = row.tag_m(axis);
-      columns_(at, kRange) = row.range_m;
-      index_[static_cast<std::size_t>(at)] = row.index;
-      if (row.pose_spread_m2.isZero(0.0F)) continue;
-      if (!has_spread_) columns_.rightCols<3>().setZero();
-      has_spread_ = true;
-      for (Eigen::Index term = 0; term < 3; ++term)
-        columns_(at, kSpread + term) = static_cast<double>(row.pose_spread_m2(term));
-    }
-    // The lanes beyond the last row.
-    for (std::size_t tag = 0; tag < tag_count; ++tag) {
-      for (Eigen::Index at = next[tag]; at < tags_[tag].first + blocks(tag) * kLanes; ++at) {
-        columns_.row(at).setZero();
-        columns_(at, kRange) = std::numeric_limits<double>::quiet_NaN();
-      }
-    }
-  }
+  Eigen::Array<double, Eigen::Dynamic, kSpread + 3> columns;
+  std::vector<std::uint32_t> index;  // Observation::index
+  bool has_spread = false;           // some pose has a covariance
 
-  [[nodiscard]] Eigen::Index blocks(std::size_t tag) const noexcept {
-    return (tags_[tag].count + kLanes - 1) / kLanes;
+  [[nodiscard]] Eigen::Index blocks() const noexcept { return columns.rows() / kLanes; }
+  [[nodiscard]] Eigen::Index rows_in(Eigen::Index block) const noexcept {
+    return std::min(kLanes, std::ssize(index) - block * kLanes);
   }
-  [[nodiscard]] Eigen::Index rows_in(std::size_t tag, Eigen::Index block) const noexcept {
-    return std::min(kLanes, tags_[tag].count - block * kLanes);
+  [[nodiscard]] auto at(Eigen::Index block, Eigen::Index column) const noexcept {
+    return columns.col(column).segment<kLanes>(block * kLanes);
   }
-  [[nodiscard]] auto at(std::size_t tag, Eigen::Index block, Eigen::Index column) const noexcept {
-    return columns_.col(column).segment<kLanes>(tags_[tag].first + block * kLanes);
-  }
-  // Whether any pose has a covariance.
-  [[nodiscard]] bool has_spread() const noexcept { return has_spread_; }
-  // Observation::index
-  [[nodiscard]] std::uint32_t index(std::size_t tag, Eigen::Index block, Eigen::Index lane) const noexcept {
-    return index_[static_cast<std::size_t>(tags_[tag].first + block * kLanes + lane)];
-  }
-
- private:
-  struct Tag {
-    Eigen::Index first = 0;
-    Eigen::Index count = 0;
-  };
-
-  std::vector<Tag> tags_;
-  Eigen::Array<double, Eigen::Dynamic, kSpread + 3> columns_;
-  bool has_spread_ = false;
-  std::vector<std::uint32_t> index_;
 };
+[[nodiscard]] std::vector<RowColumns> columns_by_tag(std::span<const Observation> rows,
+                                                     std::size_t tag_count);
 
 // Information of all priors, for all of the anchor's unknowns.
 [[nodiscard]] Eigen::MatrixXd information_of_priors(const AnchorProblem& problem);
@@ -266,8 +214,8 @@ void gather_evidence(std::span<AnchorFit> fits);
 // information. It is the site's mean, or the anchor's own where that is clearly larger.
 void estimate_inflation(std::span<AnchorFit> fits);
 
-// The same of one anchor alone, over blocks of at most `duration_s`.
-[[nodiscard]] double inflation_within(const Evidence& evidence, double duration_s);
+// The same of each anchor alone, over blocks of at most `duration_s`.
+[[nodiscard]] std::vector<double> inflations_within(std::span<const AnchorFit> fits, double duration_s);
 
 // Delete-a-fifth jackknife covariance of the position, m^2: how the position depends on the part of the drive
 // that is left out. Unlike scores it shows correlations as long as that and a cost that is not quadratic.

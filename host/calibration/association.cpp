@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <cmath>
 #include <iterator>
-#include <limits>
 #include <map>
 #include <optional>
 #include <utility>
@@ -44,15 +43,6 @@ double blend_angle(double from_rad, double to_rad, double fraction) noexcept {
   return from_rad + fraction * model::wrap_angle(to_rad - from_rad);
 }
 
-// The robot between two neighbouring samples: pose at the range's instant, motion over the interval.
-struct Motion {
-  model::RigidPose pose;
-  Eigen::Quaternionf attitude = Eigen::Quaternionf::Identity();  // of `pose`
-  Eigen::Vector3d velocity_mps = Eigen::Vector3d::Zero();
-  double yaw_rate_radps = 0.0;
-  std::optional<Eigen::Matrix3d> covariance;  // of the pose's x, y and yaw
-};
-
 // Covariance of an antenna's x and y, as in Observation: M C M^T with M = [I, yaw_arm].
 Eigen::Vector3f antenna_spread(const Eigen::Matrix3d& covariance, const Eigen::Vector2d& yaw_arm_m) noexcept {
   Eigen::Matrix<double, 2, 3> by_pose;
@@ -61,48 +51,36 @@ Eigen::Vector3f antenna_spread(const Eigen::Matrix3d& covariance, const Eigen::V
   return Eigen::Vector3d(spread(0, 0), spread(0, 1), spread(1, 1)).cast<float>();
 }
 
-// Steps along the poses with the ranges' times; steps back are allowed but cost time.
-class PoseCursor {
- public:
-  PoseCursor(std::vector<model::PoseSample> poses, const model::Surface& surface, HeightSource height)
-      : poses_(std::move(poses)), surface_(surface), height_(height) {}
-
-  // None outside the poses or in a gap longer than kMaxPoseGap_s. The result is valid until the next call.
-  [[nodiscard]] const Motion* at(double t_s) {
-    if (t_s == last_t_s_) return found_ ? &motion_ : nullptr;
-    last_t_s_ = t_s;
-    found_ = false;
-    if (poses_.size() < 2) return nullptr;
-    while (next_ > 1 && poses_[next_ - 1].t_s > t_s) --next_;
-    while (next_ + 1 < poses_.size() && poses_[next_].t_s < t_s) ++next_;
-    const model::PoseSample& from = poses_[next_ - 1];
-    const model::PoseSample& to = poses_[next_];
-    if (t_s < from.t_s || t_s > to.t_s) return nullptr;
-    const double gap_s = to.t_s - from.t_s;
-    if (gap_s > kMaxPoseGap_s) return nullptr;
-    const double fraction = (t_s - from.t_s) / gap_s;
-    motion_.pose = interpolate_pose(from, to, fraction, surface_, height_);
-    motion_.attitude = Eigen::Quaterniond(motion_.pose.rotation).cast<float>();
-    motion_.velocity_mps = Eigen::Vector3d(to.x_m - from.x_m, to.y_m - from.y_m, to.z_m - from.z_m) / gap_s;
-    motion_.yaw_rate_radps = model::wrap_angle(to.yaw_rad - from.yaw_rad) / gap_s;
-    motion_.covariance.reset();
-    if (from.covariance && to.covariance) {
-      motion_.covariance =
-          (1.0 - fraction) * model::to_matrix(*from.covariance) + fraction * model::to_matrix(*to.covariance);
-    }
-    found_ = true;
-    return &motion_;
+// The observation of a range; none outside the poses or in a gap longer than kMaxPoseGap_s. Tag and index are
+// not set.
+std::optional<Observation> observe(const model::RangeSample& sample, const Eigen::Vector3d& lever_arm_m,
+                                   std::span<const model::PoseSample> poses, const model::Surface& surface,
+                                   HeightSource height) {
+  if (poses.size() < 2) return std::nullopt;
+  const auto next =
+      std::lower_bound(poses.begin() + 1, poses.end() - 1, sample.t_s,
+                       [](const model::PoseSample& pose, double t_s) { return pose.t_s < t_s; });
+  const model::PoseSample& from = *(next - 1);
+  const model::PoseSample& to = *next;
+  const double gap_s = to.t_s - from.t_s;
+  if (sample.t_s < from.t_s || sample.t_s > to.t_s) return std::nullopt;
+  if (gap_s > kMaxPoseGap_s) return std::nullopt;
+  const double fraction = (sample.t_s - from.t_s) / gap_s;
+  const model::RigidPose pose = interpolate_pose(from, to, fraction, surface, height);
+  const Eigen::Vector3d arm_m = pose.rotation * lever_arm_m;  // R_WR r_RS of eq. (12)
+  Observation row{.t_s = sample.t_s, .range_m = sample.range_m, .tag_m = pose.position_m + arm_m};
+  row.yaw_arm_m = {-arm_m.y(), arm_m.x()};
+  row.attitude = Eigen::Quaterniond(pose.rotation).cast<float>();
+  if (from.covariance && to.covariance) {
+    const Eigen::Matrix3d covariance =
+        (1.0 - fraction) * model::to_matrix(*from.covariance) + fraction * model::to_matrix(*to.covariance);
+    row.pose_spread_m2 = antenna_spread(covariance, row.yaw_arm_m);
   }
-
- private:
-  std::vector<model::PoseSample> poses_;
-  const model::Surface& surface_;
-  HeightSource height_;
-  std::size_t next_ = 1;
-  double last_t_s_ = std::numeric_limits<double>::quiet_NaN();
-  bool found_ = false;
-  Motion motion_;
-};
+  row.velocity_mps = Eigen::Vector3d(to.x_m - from.x_m, to.y_m - from.y_m, to.z_m - from.z_m) / gap_s;
+  row.velocity_mps.head<2>() += model::wrap_angle(to.yaw_rad - from.yaw_rad) / gap_s * row.yaw_arm_m;
+  row.power_class = model::power_class(sample);
+  return row;
+}
 
 }  // namespace
 
@@ -163,36 +141,26 @@ Association associate(const Drive& drive, HeightSource height) {
   }
 
   const model::Surface flat;
-  std::vector<model::PoseSample> poses = clean_poses(drive.poses);
+  const model::Surface& surface = drive.surface != nullptr ? *drive.surface : flat;
+  const std::vector<model::PoseSample> poses = clean_poses(drive.poses);
   for (const model::PoseSample& pose : poses) {
     if (pose.covariance)
       out.pose_spreads.push_back({.t_s = pose.t_s, .covariance = model::to_matrix(*pose.covariance)});
   }
-  PoseCursor cursor(std::move(poses), drive.surface != nullptr ? *drive.surface : flat, height);
   for (const model::RangeSample& sample : drive.ranges) {
     AnchorObservations& anchor = out.anchors[index.at(sample.anchor_id)];
     const auto tag = std::lower_bound(out.tags.begin(), out.tags.end(), sample.tag_id,
                                       [](const model::Tag& a, model::NodeId id) { return a.id < id; });
     const bool known_tag = tag != out.tags.end() && tag->id == sample.tag_id;
-    const Motion* motion = known_tag && is_range(sample) ? cursor.at(sample.t_s) : nullptr;
-    if (motion == nullptr) {
+    std::optional<Observation> row;
+    if (known_tag && is_range(sample)) row = observe(sample, tag->lever_arm_m, poses, surface, height);
+    if (!row) {
       ++anchor.rejected;
       continue;
     }
-    const Eigen::Vector3d arm_m = motion->pose.rotation * tag->lever_arm_m;  // R_WR r_RS of eq. (12)
-    const std::size_t before = anchor.rows.size();
-    Observation& row = anchor.rows.emplace_back();
-    row.index = static_cast<std::uint32_t>(before);
-    row.t_s = sample.t_s;
-    row.range_m = sample.range_m;
-    row.tag_m = motion->pose.position_m + arm_m;
-    row.yaw_arm_m = {-arm_m.y(), arm_m.x()};
-    row.attitude = motion->attitude;
-    if (motion->covariance) row.pose_spread_m2 = antenna_spread(*motion->covariance, row.yaw_arm_m);
-    row.velocity_mps = motion->velocity_mps;
-    row.velocity_mps.head<2>() += motion->yaw_rate_radps * row.yaw_arm_m;
-    row.tag = static_cast<std::uint32_t>(tag - out.tags.begin());
-    row.power_class = model::power_class(sample);
+    row->tag = static_cast<std::uint32_t>(tag - out.tags.begin());
+    row->index = static_cast<std::uint32_t>(anchor.rows.size());
+    anchor.rows.push_back(*row);
   }
   return out;
 }

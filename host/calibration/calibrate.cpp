@@ -5,7 +5,6 @@
 #include <numeric>
 #include <utility>
 
-#include "host/calibration/anchor_evidence.hpp"
 #include "host/calibration/anchor_links.hpp"
 #include "host/calibration/covariance_budget.hpp"
 #include "host/calibration/range_noise.hpp"
@@ -22,8 +21,6 @@ constexpr double kHeldOutShare = 0.2;  // by hand: the fifth that docs/reference
 // Largest pose sigma per axis with which moves are searched for. By hand: at this sigma the poses explain the
 // least move with 2 sigmas. Moved.FindsHardlyAnyWherePosesDriftAsFarOverManyDrives holds with it.
 constexpr double kMovePose_m = 0.5 * kMinMove_m;
-// Most rounds of a refinement: by hand, a bound on time.
-constexpr int kLastRounds = 10;
 // An axis of a lever arm is reported if its sigma is below this share of kLeverArmSigma_m. By hand: the
 // ranges then have at least 1/0.5^2 - 1 = 3 times the prior's information.
 constexpr double kRefinedShare = 0.5;
@@ -55,11 +52,6 @@ double held_out_from(const Association& association) {
   return end_s - kHeldOutShare * (end_s - begin_s);
 }
 
-void find_nlos(Site& site) {
-  if (!needs_nlos_states(site.polls, site.fits)) return;
-  site.los_states = solve_los(site.polls, first_los_model(site.polls, site.fits), site.fits);
-}
-
 // Poses whose own covariance is as large as a move cannot show one.
 bool poses_show_moves(const Association& association) {
   if (model::is_ablated(model::Mechanism::kCalibrationMoves)) return false;
@@ -82,14 +74,13 @@ Site solve_anchors(const Drive& drive, const Options& options, HeightSource heig
   SiteProblem problem{
       .association = &site.association, .priors = drive.priors, .known_anchors = drive.known_anchors};
   bound_rows(site.association, site.polls, problem, options.most_anchor_ranges);
-  site.held_out_from_s = held_out_from(site.association);
-  problem.end_s = site.held_out_from_s;
+  problem.end_s = held_out_from(site.association);
   site.beginning = solve_site(problem, {});  // search and solve without the held-out part
   problem.end_s = std::numeric_limits<double>::infinity();
   site.fits = solve_site(problem, site.beginning);  // robust least squares on eq. (12), per anchor
   site.paths.resize(site.fits.size());
   if (is_within_reach(site.fits)) {
-    find_nlos(site);
+    find_nlos(site.polls, site.fits, site.los_states);
     if (find_moves && poses_show_moves(site.association))
       site.paths = find_moved(site.polls, site.los_states, site.fits);
   }
@@ -116,8 +107,9 @@ Site solve_drive(const Drive& drive, const Options& options, bool find_moves) {
   Site site = solve_at_best_height(drive, options, find_moves);
   // Score before correct_drive(): that uses all ranges, including those held out.
   for (std::size_t i = 0; i < site.fits.size(); ++i) {
+    const AnchorFit& first = site.beginning[i];
     site.evidence[i].held_out =
-        score_held_out(site.beginning[i], site.association.anchors[i].rows, site.held_out_from_s);
+        score_held_out(first, std::span(site.association.anchors[i].rows).subspan(first.problem.rows.size()));
   }
   site.error = correct_drive(site.association, site.fits);
   return site;
@@ -127,13 +119,7 @@ Site solve_drive(const Drive& drive, const Options& options, bool find_moves) {
 void find_nlos_again(Site& site, const model::Calibration* earlier) {
   if (is_within_reach(site.fits) && !has_moves(site) &&
       !model::is_ablated(model::Mechanism::kCalibrationAgain)) {
-    for (AnchorFit& fit : site.fits) {
-      fit.problem.los_states = nullptr;
-      fit.anchor.conservativeResize(excess_index(fit.problem.tag_count));
-    }
-    site.los_states = {};
-    refine_site(site.fits, kLastRounds);
-    find_nlos(site);
+    find_nlos(site.polls, site.fits, site.los_states);
     test_mirrors(site, earlier);
   }
   correct_further(site.association, site.fits, site.error);
@@ -181,16 +167,16 @@ model::AnchorCalibration describe(const Site& site, std::size_t i, const Eigen::
 // The source paper's first stage, "Real-Time Initialization": anchor positions r_A and biases beta, gamma of
 // the range model, eq. (12), by robust non-linear least squares from pose priors, tag offsets r_RS and
 // ranges. Their means and covariances initialize the sensor states x_s, eq. (9), of the second stage.
-Result calibrate(const Drive& given, const Options& options) {
-  Drive drive = given;
-  drive.priors = usable_priors(given.priors);
-  Site site = solve_drive(drive, options, true);
+Result calibrate(const Drive& drive, const Options& options) {
+  Drive usable = drive;
+  usable.priors = usable_priors(drive.priors);
+  Site site = solve_drive(usable, options, true);
   // If the poses drift by as much as a move, apparent moves of anchors are not real.
   if (has_moves(site) && site.error.prior.drift.sigma_m > kMovePose_m)
-    site = solve_drive(drive, options, false);
+    site = solve_drive(usable, options, false);
   if (!site.error.body.empty() && site.has_los_states()) find_nlos_again(site, options.earlier);
   estimate_inflation(site.fits);
-  const std::vector<Eigen::MatrixXd> solved = join_links(drive.anchor_ranges, drive.priors, site);
+  const std::vector<Eigen::MatrixXd> solved = join_links(usable.anchor_ranges, usable.priors, site);
 
   Result result;
   for (const AnchorFit& fit : site.fits) {

@@ -21,17 +21,20 @@
 namespace groma::calibration {
 namespace {
 
+using model::AnchorCalibration;
+using model::AnchorVerdict;
+using model::has_position;
 using Frame = Eigen::Matrix<double, 3, 4>;
 
 // 95 % of the chi-square distribution with three degrees of freedom.
 constexpr double kClear = 7.815;
-// Numerics: keeps covariances of exact values invertible (1 um).
+// Numerics: keeps covariances of exact values invertible (1 um; 1e-6 of a term).
 constexpr double kLeastVariance_m2 = 1e-12;
 
 // An anchor in both, linearized in the frames' offset.
 struct Shared {
-  const model::AnchorCalibration* a = nullptr;
-  const model::AnchorCalibration* b = nullptr;
+  const AnchorCalibration* a = nullptr;
+  const AnchorCalibration* b = nullptr;
   Frame frame;
   Eigen::Vector3d difference_m;
   Eigen::Matrix3d covariance_m2;
@@ -40,12 +43,12 @@ struct Shared {
   bool outlier = false;
 };
 
-bool is_height_weak(const model::AnchorCalibration& anchor) {
-  return anchor.verdict == model::AnchorVerdict::kWeakZ || anchor.verdict == model::AnchorVerdict::kWeak;
+bool is_height_weak(const AnchorCalibration& anchor) {
+  return anchor.verdict == AnchorVerdict::kWeakZ || anchor.verdict == AnchorVerdict::kWeak;
 }
 
-Shared make_shared(const model::Calibration& of_a, const model::AnchorCalibration& a,
-                   const model::Calibration& of_b, const model::AnchorCalibration& b) {
+Shared make_shared(const model::Calibration& of_a, const AnchorCalibration& a, const model::Calibration& of_b,
+                   const AnchorCalibration& b) {
   Shared out;
   out.a = &a;
   out.b = &b;
@@ -145,12 +148,6 @@ std::vector<PairChange> compare_pairs(const std::vector<Shared>& anchors) {
   return pairs;
 }
 
-using model::AnchorCalibration;
-using model::AnchorVerdict;
-using model::has_position;
-
-constexpr double kLeastVariance = 1e-12;  // numerics, as kLeastVariance_m2
-
 // Rank of a verdict: less is more trusted.
 std::ptrdiff_t rank(AnchorVerdict verdict) {
   constexpr std::array kOrder{AnchorVerdict::kOk,       AnchorVerdict::kWeakZ, AnchorVerdict::kWeak,
@@ -160,7 +157,7 @@ std::ptrdiff_t rank(AnchorVerdict verdict) {
 
 // Shifts and turns the anchor by a small offset of the frame, and adds the offset's uncertainty.
 void shift(AnchorCalibration& anchor, const Eigen::Vector4d& offset, const Eigen::Matrix4d& covariance) {
-  const Eigen::Matrix<double, 3, 4> frame = model::position_by_frame(anchor.position_m);
+  const Frame frame = model::position_by_frame(anchor.position_m);
   anchor.position_m += frame * offset;
   anchor.covariance.topLeftCorner<3, 3>() += frame * covariance * frame.transpose();
 }
@@ -182,11 +179,6 @@ std::vector<model::NodeId> tags_of(const AnchorCalibration& a, const AnchorCalib
     for (const model::PairBias& pair : anchor->pairs) tags.insert(pair.tag_id);
   }
   return {tags.begin(), tags.end()};
-}
-
-Eigen::MatrixXd inverse(Eigen::MatrixXd matrix) {
-  matrix.diagonal().array() += kLeastVariance;
-  return matrix.ldlt().solve(Eigen::MatrixXd::Identity(matrix.rows(), matrix.cols()));
 }
 
 // Information of the later drive's ranges, without the priors of the biases, which both calibrations contain.
@@ -234,8 +226,10 @@ AnchorCalibration fuse(AnchorCalibration earlier, AnchorCalibration later, const
   const Eigen::Index size = model::anchor_size(std::ssize(tags));
   Eigen::MatrixXd information = Eigen::MatrixXd::Zero(size, size);
   Eigen::VectorXd right_side = Eigen::VectorXd::Zero(size);
-  for (const AnchorCalibration* anchor : {&earlier, &later}) {
-    Eigen::MatrixXd own = inverse(anchor->covariance);
+  for (AnchorCalibration* anchor : {&earlier, &later}) {
+    anchor->covariance.diagonal().array() += kLeastVariance_m2;
+    const Eigen::Index unknowns = anchor->covariance.rows();
+    Eigen::MatrixXd own = anchor->covariance.ldlt().solve(Eigen::MatrixXd::Identity(unknowns, unknowns));
     Eigen::VectorXd own_side = own * values_of(*anchor);
     if (anchor == &later) {
       const Eigen::MatrixXd reduced = without_priors(own, anchor->pairs.size(), priors);
@@ -283,19 +277,19 @@ Comparison compare(const model::Calibration& a, const model::Calibration& b) {
   Comparison out;
   std::vector<Shared> shared;
   const auto find_placed = [](const model::Calibration& calibration, model::NodeId id) {
-    const model::AnchorCalibration* found = model::find_anchor(calibration, id);
-    return found != nullptr && model::has_position(*found) ? found : nullptr;
+    const AnchorCalibration* found = model::find_anchor(calibration, id);
+    return found != nullptr && has_position(*found) ? found : nullptr;
   };
-  for (const model::AnchorCalibration& anchor : a.anchors) {
-    if (!model::has_position(anchor)) continue;
+  for (const AnchorCalibration& anchor : a.anchors) {
+    if (!has_position(anchor)) continue;
     if (const auto* other = find_placed(b, anchor.id)) {
       shared.push_back(make_shared(a, anchor, b, *other));
     } else {
       out.only_a.push_back(anchor.id);
     }
   }
-  for (const model::AnchorCalibration& anchor : b.anchors) {
-    if (model::has_position(anchor) && find_placed(a, anchor.id) == nullptr) out.only_b.push_back(anchor.id);
+  for (const AnchorCalibration& anchor : b.anchors) {
+    if (has_position(anchor) && find_placed(a, anchor.id) == nullptr) out.only_b.push_back(anchor.id);
   }
   const Eigen::Matrix4d prior = a.common_frame_covariance + b.common_frame_covariance;
   out.anchors = find_changes(shared, prior);

@@ -1,16 +1,13 @@
 #include "host/calibration/drive_error.hpp"
 
 #include <algorithm>
-#include <array>
 #include <cmath>
-#include <limits>
 #include <numeric>
 #include <optional>
 #include <span>
 #include <utility>
 
-#include <Eigen/Cholesky>
-
+#include "host/calibration/site_solver.hpp"
 #include "host/model/ablation.hpp"
 
 namespace groma::calibration {
@@ -22,215 +19,155 @@ namespace {
 constexpr KnotGrid kCoarseKnots{.spacing_s = 8.0, .max_count = 48.0};
 constexpr KnotGrid kFineKnots{.spacing_s = 4.0, .max_count = 96.0};
 constexpr KnotGrid kNoKnots{.spacing_s = 1e9, .max_count = 2.0};  // two: the fewest, at the drive's ends
-constexpr int kDriveRounds = 4;                                   // a bound on time, by hand
-// First sigmas of the drift to try. The marginal likelihood of the ranges chooses one of them, then refines
-// sigma, yaw sigma and correlation time by these factors, until no factor gains kMinDriftGain. By hand:
-// starts a factor of 3 apart, steps that shrink by square roots, a negligible gain, and a drift as in
-// CalibrationCampaign.StaysConsistentWhenPosesDrift; DriveError.EstimatesSizeAndCorrelationTime... holds.
-constexpr std::array kDriftSigmas_m{0.02, 0.06, 0.2, 0.6};
-constexpr double kFirstDriftFactor = 2.0;
-constexpr double kLastDriftFactor = 1.15;
-constexpr double kMinDriftGain = 0.01;
-constexpr DriftPrior kFirstDrift{.sigma_m = 0.0, .sigma_yaw_rad = 0.004, .correlation_s = 20.0};
-constexpr std::array kYawFactors{0.4, 2.5};
-// Then whether the drift is smooth, and how fast: inverse natural frequencies and damping ratios to try. By
-// hand: factors of 1.5 and 3; DriveError.DistinguishesSmoothFromRoughDrift holds with them.
-constexpr std::array kSmoothTimes_s{5.0, 7.5, 11.0, 17.0, 25.0, 37.0};
-constexpr std::array kDampingRatios{1.0, 0.3, 0.1};
-constexpr std::array kSmoothFactors{1.0, 0.7};
-constexpr int kFollowingSteps = 3;       // a bound on time, by hand
+constexpr int kDriveRounds = 4;                                   // bounds on time, by hand
+constexpr int kFollowingSteps = 3;
 constexpr double kLastStepSigmas = 0.1;  // 0.01 in chi square
-// Least gain in log evidence (nats) to accept a drift, body terms, or body terms in addition to a drift; and
-// a smooth or an oscillating drift in place of a rough one. By hand: 1, 4, 8 and 10 nats are odds of 2.7, 55,
-// 3000 and 22000 to 1. DriveError.DistinguishesSmooth..., LeavesExactPoses... and
-// DoesNotTakePlaceDependentErrors... hold with them.
-constexpr double kMinDriftEvidence = 4.0;
-constexpr double kMinBodyEvidence = 10.0;
-constexpr double kMinMoreBodyEvidence = 8.0;
-constexpr double kMinSmoothEvidence = 1.0;
-constexpr double kMinOscillationEvidence = 4.0;
-// Least gain that has to remain with the inflation of kWhile_s: errors that depend on place in each anchor's
-// own ranges can look like shared ones. By hand; DriveError.DoesNotTakePlaceDependentErrors... holds with it:
-// neither is accepted in any of six drives with place-dependent errors of 0.08 m.
-constexpr double kMinLastingDrift = 4.0;
-constexpr double kMinLastingBody = 2.0;
 // Correlation within kMoment_s comes from the ranges themselves, as when they are filtered or repeated;
-// within kWhile_s, also from errors that depend on place. By hand; the same test holds with them.
+// within kWhile_s, also from errors that depend on place. By hand;
+// DriveError.DoesNotTakePlaceDependentErrors... holds with them.
 constexpr double kMoment_s = 1.0;
 constexpr double kWhile_s = 8.0;
-// Prior by hand; Calibrate.EstimatesTheRangeDelay finds 0.05 s with it. 4 sigmas: 6e-5 by chance (normal,
-// two-sided). No delay: 1e-7 s is 3 um at 30 m/s.
-constexpr double kDelaySigma_s = 0.03;
+// 4 sigmas: 6e-5 by chance (normal, two-sided).
 constexpr double kMinDelaySigmas = 4.0;
-constexpr double kNoDelaySigma_s = 1e-7;
 // Frame error common to all poses, which no range observes: no localization knows its map better. By
 // hand; 0.005 m and 0.0005 rad until the drift's own share of the frame was estimated.
 constexpr double kDriveFrameSigma_m = 0.002;
 constexpr double kFrameSigma_rad = 0.0002;
 
-double delay_sigma_s() noexcept {
-  return model::is_ablated(model::Mechanism::kCalibrationDelay) ? kNoDelaySigma_s : kDelaySigma_s;
-}
-
-// Log evidence: log likelihood of the ranges with the drive's error marginalized, up to a constant.
-double evidence(const JointEquations& equations, const SharedUnknowns& unknowns, const SharedPrior& prior) {
-  // Unknowns that are not fixed at zero are contiguous.
-  const Eigen::Index first = prior.drift.sigma_m > 0.0 ? 0 : unknowns.delay();
-  const Eigen::Index size = (prior.body ? unknowns.size() : unknowns.body(0)) - first;
-  const Eigen::LLT<Eigen::MatrixXd> posterior(
-      equations.information.block(first, first, size, size) +
-      prior_information(unknowns, prior).block(first, first, size, size));
-  if (posterior.info() != Eigen::Success) return -std::numeric_limits<double>::infinity();
-  const auto descent = equations.descent.segment(first, size);
-  const double log_determinant = 2.0 * posterior.matrixLLT().diagonal().array().log().sum();
-  return 0.5 * descent.dot(posterior.solve(descent)) -
-         0.5 * (log_determinant - prior_log_determinant(unknowns, prior));
-}
-
-struct Belief {
-  SharedPrior prior;
-  double evidence = 0.0;
+// Sums of one anchor, before its elimination.
+struct AnchorSums {
+  Eigen::MatrixXd cross;  // with the shared unknowns
+  Eigen::MatrixXd own;    // of the shared unknowns, lower triangle
+  Eigen::VectorXd descent;
 };
 
-// Replaces `best` if the log evidence with the prior is higher by more than `min_gain`.
-void keep_likelier(const JointEquations& equations, const SharedUnknowns& unknowns, const SharedPrior& prior,
-                   double min_gain, Belief& best) {
-  const double found = evidence(equations, unknowns, prior) - min_gain;
-  if (found > best.evidence) best = {.prior = prior, .evidence = found};
-}
+// Sums over one tag's observations of the derivatives by the pair (position, terms) and by the shared terms,
+// without the body terms if these are no unknowns. Observations are buffered side by side and summed kLanes
+// at a time.
+class Moments {
+ public:
+  static constexpr Eigen::Index kPair = model::kPairSize;
+  static constexpr Eigen::Index kSize = kPair + kSharedTerms;
+  // Shared terms of the two knots.
+  static constexpr Eigen::Index kKnots = 6;
+  static constexpr Eigen::Index kRest = kPair + kKnots;
+  using Row = Eigen::Array<double, 1, kSize>;
+  // Index of each term: those by the pair among the anchor's unknowns, the others among the shared ones.
+  using Places = Eigen::Array<Eigen::Index, kSize, 1>;
 
-// Layout of the unknowns to test, and `typical` if poses report their covariance.
-struct DriftSetup {
-  SharedUnknowns unknowns;
-  std::optional<PoseQuality> typical;
-};
+  explicit Moments(bool has_body) : size_(has_body ? kSize : kSize - kBodyTerms) {}
 
-// Most likely drift in addition to `before`; `before` itself if none gains enough evidence.
-Belief select_drift(const JointEquations& equations, const DriftSetup& setup, const Belief& before) {
-  if (model::is_ablated(model::Mechanism::kCalibrationDrift)) return before;
-  Belief best = before;
-  best.evidence += kMinDriftEvidence;
-  SharedPrior prior = before.prior;
-  prior.drift = kFirstDrift;
-  for (const double sigma_m : kDriftSigmas_m) {
-    prior.drift.sigma_m = sigma_m;
-    keep_likelier(equations, setup.unknowns, prior, 0.0, best);
+  [[nodiscard]] Eigen::Index size() const noexcept { return size_; }
+  void add(const Row& j, double slope, double weight) noexcept {
+    rows_.row(waiting_) = j;
+    weight_(waiting_) = weight;
+    slope_(waiting_) = slope;
+    if (++waiting_ == kLanes) sum_up();
   }
-  if (setup.typical) {
-    prior.drift.sigma_m = setup.typical->sigma_m;
-    prior.drift.sigma_yaw_rad = setup.typical->sigma_yaw_rad;
-    keep_likelier(equations, setup.unknowns, prior, 0.0, best);
-  }
-  return best.prior.drift.sigma_m > 0.0 ? best : before;
-}
-
-// The first-order drift that maximizes the evidence. Needs fine knots: coarse ones do not show its time.
-SharedPrior refine_drift(const JointEquations& equations, const SharedUnknowns& unknowns,
-                         const SharedPrior& rough) {
-  Belief best{.prior = rough, .evidence = evidence(equations, unknowns, rough)};
-  for (double step = kFirstDriftFactor; step > kLastDriftFactor;) {
-    const Belief before = best;
-    const auto scale = [&](double correlation, double shift, double turn) {
-      SharedPrior prior = before.prior;
-      prior.drift.correlation_s *= correlation;
-      prior.drift.sigma_m *= shift;
-      prior.drift.sigma_yaw_rad *= turn;
-      keep_likelier(equations, unknowns, prior, 0.0, best);
-    };
-    for (const double factor : {step, 1.0 / step}) {
-      // Ranges determine sigma^2 / time, the rate of a first-order process, better than either: scale the
-      // sigmas along with the time.
-      scale(factor, std::sqrt(factor), std::sqrt(factor));
-      scale(1.0, factor, 1.0);
-      scale(1.0, 1.0, factor);
+  // Adds the sums of the terms [begin, end) to `sums` at their indices, and clears them.
+  void move_to(const Places& places, Eigen::Index begin, Eigen::Index end, AnchorSums& sums) noexcept {
+    sum_up();
+    for (Eigen::Index from = begin; from < end; ++from) {
+      const Eigen::Index to = places(from);
+      for (Eigen::Index row = 0; row < kPair; ++row) take(sums.cross(places(row), to), square_(from, row));
+      for (Eigen::Index row = from; row < size_; ++row) take(sums.own(places(row), to), square_(row, from));
+      take(sums.descent(to), descent_(from - kPair));
     }
-    if (best.evidence < before.evidence + kMinDriftGain) step = std::sqrt(step);
   }
-  return best.prior;
-}
 
-// Replaces the drift by a smooth or oscillating one if that gains enough evidence. Needs fine knots: coarse
-// ones do not distinguish them.
-SharedPrior likeliest_shape(const JointEquations& equations, const SharedUnknowns& unknowns,
-                            const SharedPrior& rough) {
-  if (model::is_ablated(model::Mechanism::kCalibrationSmoothDrift)) return rough;
-  Belief best{.prior = rough, .evidence = evidence(equations, unknowns, rough)};
-  const auto least_gain = [](double damping_ratio) {
-    return kMinSmoothEvidence + (damping_ratio < 1.0 ? kMinOscillationEvidence : 0.0);
-  };
-  for (const double factor : kSmoothFactors) {
-    for (const double damping_ratio : kDampingRatios) {
-      for (const double time_s : kSmoothTimes_s) {
-        SharedPrior prior = rough;
-        prior.drift.sigma_m *= factor;
-        prior.drift.correlation_s = time_s;
-        prior.drift.damping_ratio = damping_ratio;
-        keep_likelier(equations, unknowns, prior, least_gain(damping_ratio), best);
+ private:
+  static void take(double& to, double& from) noexcept {
+    to += from;
+    from = 0.0;
+  }
+  void sum_up() noexcept {
+    if (waiting_ == 0) return;
+    // Lanes left over from earlier observations get no weight.
+    for (Eigen::Index lane = waiting_; lane < kLanes; ++lane) {
+      weight_(lane) = 0.0;
+      slope_(lane) = 0.0;
+    }
+    waiting_ = 0;
+    for (Eigen::Index column = 0; column < size_; ++column) {
+      const Lanes weighted = weight_ * rows_.col(column);
+      for (Eigen::Index row = std::max(column, kPair); row < size_; ++row) {
+        square_(row, column) += (weighted * rows_.col(row)).sum();
       }
     }
+    for (Eigen::Index k = 0; k < size_ - kPair; ++k) descent_(k) += (slope_ * rows_.col(kPair + k)).sum();
   }
-  if (!best.prior.drift.damping_ratio) return rough;
-  for (const double factor : kYawFactors) {
-    SharedPrior prior = best.prior;
-    prior.drift.sigma_yaw_rad *= factor;
-    keep_likelier(equations, unknowns, prior, least_gain(*prior.drift.damping_ratio), best);
-  }
-  return best.prior;
-}
 
-Belief select_body(const JointEquations& equations, const SharedUnknowns& unknowns, const Belief& before,
-                   double min_evidence) {
-  if (model::is_ablated(model::Mechanism::kCalibrationBody)) return before;
-  SharedPrior prior = before.prior;
-  prior.body = true;
-  const Belief found{.prior = prior, .evidence = evidence(equations, unknowns, prior)};
-  return found.evidence > before.evidence + min_evidence ? found : before;
-}
+  Eigen::Index size_;
+  Eigen::Matrix<double, kSize, kSize> square_ =
+      Eigen::Matrix<double, kSize, kSize>::Zero();  // lower triangle
+  SharedRow descent_ = SharedRow::Zero();
+  Eigen::Array<double, kLanes, kSize> rows_ = Eigen::Array<double, kLanes, kSize>::Zero();
+  Lanes weight_;
+  Lanes slope_;
+  Eigen::Index waiting_ = 0;
+};
 
-// Selects drift, body terms, both or neither: first the one with more evidence under `slow`, then the other.
-// `slow` makes the equations with the inflation of kWhile_s; it is called only if the inflation of kMoment_s
-// accepts something.
-template <typename Slow>
-SharedPrior likeliest_prior(const JointEquations& equations, const DriftSetup& setup, const Slow& slow) {
-  const SharedUnknowns& unknowns = setup.unknowns;
-  Belief nothing{.prior = {.drift = {}, .delay_sigma_s = delay_sigma_s()}};
-  nothing.evidence = evidence(equations, unknowns, nothing.prior);
-  Belief drift = select_drift(equations, setup, nothing);
-  Belief body = select_body(equations, unknowns, nothing, kMinBodyEvidence);
-  if (!(drift.prior.drift.sigma_m > 0.0) && !body.prior.body) return nothing.prior;
-
-  const JointEquations lasting = slow();
-  const auto gain = [&](const Belief& more, const Belief& less) {
-    return evidence(lasting, unknowns, more.prior) - evidence(lasting, unknowns, less.prior);
+void add_rows(const AnchorFit& fit, const SharedUnknowns& unknowns, AnchorSums& sums) {
+  constexpr Eigen::Index kPair = Moments::kPair;
+  constexpr Eigen::Index kKnots = Moments::kKnots;
+  const std::size_t tags = fit.problem.tag_count;
+  struct Tag {
+    Moments moments;
+    Moments::Places places;
   };
-  const double by_drift = gain(drift, nothing);
-  const double by_body = gain(body, nothing);
-  if (by_drift >= kMinLastingDrift && by_drift >= by_body) {
-    body = select_body(equations, unknowns, drift, kMinMoreBodyEvidence);
-    return gain(body, drift) < kMinLastingBody ? drift.prior : body.prior;
+  std::vector<Tag> of_tag(tags, {.moments = Moments(unknowns.body_tags > 0), .places = {}});
+  const Eigen::Index size = of_tag.front().moments.size();
+  for (std::size_t tag = 0; tag < tags; ++tag) {
+    Moments::Places& places = of_tag[tag].places;
+    const PairIndex pair = pair_index(tag, tags);
+    std::copy(pair.begin(), pair.end(), places.data());
+    places(Moments::kRest) = unknowns.delay();
+    for (Eigen::Index k = 0; Moments::kRest + 1 + k < size; ++k) {
+      places(Moments::kRest + 1 + k) = unknowns.body(tag) + k;
+    }
   }
-  if (by_body < kMinLastingBody) return nothing.prior;
-  drift = select_drift(equations, setup, body);
-  return gain(drift, body) < kMinLastingDrift ? body.prior : drift.prior;
+  Eigen::Index first = 0;
+  // The next observations are between other knots.
+  const auto leave_knots = [&] {
+    for (auto& [moments, places] : of_tag) {
+      for (Eigen::Index k = 0; k < kKnots; ++k) places(kPair + k) = first + k;
+      moments.move_to(places, kPair, Moments::kRest, sums);
+    }
+  };
+  for (const Observation& row : fit.problem.rows) {
+    const RowAt at = row_at(fit, row);
+    const RowValue& value = at.value;
+    const KnotShare share = knot_share(unknowns.knots, row.t_s);
+    if (share.first != first) leave_knots();
+    first = share.first;
+    Moments::Row j;
+    j << at.j.array().transpose(), shared_jacobian(row, at.predicted, share.fraction).array().transpose();
+    // Long NLOS ranges count too: they tie the anchor to the poses, so that a common shift of both changes no
+    // residual.
+    of_tag[row.tag].moments.add(j, value.seen.slope + value.nlos_slope,
+                                value.seen.weight + value.nlos_weight);
+    if (value.nlos_weight == 0.0) continue;
+    const RangeLos& los_states = fit.problem.los_states->rows[row.index];
+    const auto add_long_nlos = [&](Eigen::Index to) {
+      for (Eigen::Index k = kPair; k < size; ++k) {
+        const Eigen::Index column = k < Moments::kRest ? first + k - kPair : of_tag[row.tag].places(k);
+        sums.cross(to, column) += value.nlos_weight * j(k);
+      }
+    };
+    add_long_nlos(excess_index(tags));
+    if (los_states.episode != kNoEpisode) add_long_nlos(episode_index(los_states.episode, tags));
+  }
+  leave_knots();
+  for (auto& [moments, places] : of_tag) moments.move_to(places, Moments::kRest, size, sums);
 }
 
 bool nothing_to_correct(const JointEquations& equations, const SharedUnknowns& unknowns,
                         const SharedPrior& prior) {
   if (prior.drift.sigma_m > 0.0 || prior.body) return false;
   const Eigen::Index delay = unknowns.delay();
-  const double information = equations.information(delay, delay) + 1.0 / (delay_sigma_s() * delay_sigma_s());
+  const double information =
+      equations.information(delay, delay) + 1.0 / (prior.delay_sigma_s * prior.delay_sigma_s);
   return std::abs(equations.descent(delay)) < kMinDelaySigmas * std::sqrt(information);
-}
-
-SharedUnknowns arrange(std::span<const AnchorFit> fits, std::span<const PoseSpread> spreads,
-                       const DriftSetup& setup, const SharedPrior& prior) {
-  const SharedUnknowns& coarse = setup.unknowns;
-  SharedUnknowns out;
-  const KnotGrid& grid = prior.drift.sigma_m > 0.0 ? kFineKnots : kNoKnots;
-  out.knots = place_knots(fits, grid).value_or(coarse.knots);
-  out.body_tags = prior.body ? coarse.body_tags : 0;
-  if (setup.typical) out.knot_scale = scale_knots(out.knots, spreads, *setup.typical);
-  return out;
 }
 
 // Takes the largest share of the step that lowers the cost; false if none does.
@@ -345,12 +282,6 @@ Eigen::MatrixXd influence_of_own_pattern(const AnchorFit& fit) {
   return out;
 }
 
-std::vector<double> inflations(std::span<const AnchorFit> fits, double duration_s) {
-  std::vector<double> out;
-  for (const AnchorFit& fit : fits) out.push_back(inflation_within(fit.evidence, duration_s));
-  return out;
-}
-
 // Solves for the unknowns that the prior leaves free, starting from the present estimate, until convergence;
 // then fills in covariances. A free delay is fixed at zero if it is not significant.
 void settle(Association& association, std::vector<AnchorFit>& fits, bool is_delay_open,
@@ -384,7 +315,7 @@ void settle(Association& association, std::vector<AnchorFit>& fits, bool is_dela
     refine_site(fits, 1);
     // Residuals that the estimate explains are white now; the remaining correlation depends on place.
     gather_evidence(fits);
-    inflation = inflations(fits, kWhile_s);
+    inflation = inflations_within(fits, kWhile_s);
     if (step.dot((equations.information + believed) * step) < kLastStepSigmas * kLastStepSigmas) break;
   }
   if (prior.delay_sigma_s > kNoDelaySigma_s) {
@@ -411,67 +342,134 @@ void settle(Association& association, std::vector<AnchorFit>& fits, bool is_dela
   out.shared_covariance = std::move(covariance);
 }
 
-}  // namespace
-
-DriveError correct_drive(Association& association, std::vector<AnchorFit>& fits) {
-  DriveError out;
+void begin_correction(std::vector<AnchorFit>& fits, DriveError& out) {
+  out.added_covariance.clear();
   for (const AnchorFit& fit : fits) {
     out.added_covariance.push_back(Eigen::MatrixXd::Zero(fit.anchor.size(), fit.anchor.size()));
   }
   gather_evidence(fits);
-  const std::optional<Knots> placed = place_knots(fits, kCoarseKnots);
-  if (!placed) return out;
-  DriftSetup setup;
-  setup.typical = typical_quality(association.pose_spreads);
-  SharedUnknowns& unknowns = setup.unknowns;
-  unknowns.knots = *placed;
-  unknowns.body_tags = association.tags.size();
-  if (setup.typical)
-    unknowns.knot_scale = scale_knots(unknowns.knots, association.pose_spreads, *setup.typical);
+}
 
-  std::vector<double> inflation = inflations(fits, kMoment_s);
-  JointEquations equations = eliminate_anchors(fits, inflation, unknowns);
-  const auto slow = [&] { return eliminate_anchors(fits, inflations(fits, kWhile_s), unknowns); };
-  SharedPrior prior = likeliest_prior(equations, setup, slow);
-  if (nothing_to_correct(equations, unknowns, prior)) {
+}  // namespace
+
+KnotShare knot_share(const Knots& knots, double t_s) noexcept {
+  const double position =
+      std::clamp((t_s - knots.begin_s) / knots.spacing_s, 0.0, static_cast<double>(knots.count - 1));
+  const auto k = std::min(static_cast<Eigen::Index>(position), knots.count - 2);
+  return {.first = 3 * k, .fraction = position - static_cast<double>(k)};
+}
+
+SharedRow shared_jacobian(const Observation& row, const model::AntennaPrediction& predicted,
+                          double fraction) noexcept {
+  const Eigen::Vector3d by_antenna = predicted.scale * predicted.direction;
+  const double by_yaw = by_antenna.head<2>().dot(row.yaw_arm_m);
+  const Eigen::Vector3d drift(by_antenna.x(), by_antenna.y(), by_yaw);
+  const Eigen::Vector3d in_body = row.attitude.conjugate().cast<double>() * predicted.direction;
+  SharedRow out;
+  out << (1.0 - fraction) * drift, fraction * drift, -by_antenna.dot(row.velocity_mps),
+      predicted.scale * in_body, model::pattern_terms(in_body);
+  return out;
+}
+
+void move_row(const SharedUnknowns& unknowns, const Eigen::VectorXd& step, const Eigen::Vector3d& anchor_m,
+              Observation& row) noexcept {
+  if (unknowns.body_tags > 0) {
+    const Eigen::Quaterniond attitude = row.attitude.cast<double>();
+    const BodyVector body = step.segment<kBodyTerms>(unknowns.body(row.tag));
+    const Eigen::Vector3d in_body = attitude.conjugate() * (row.tag_m - anchor_m).normalized();
+    row.range_m -= model::pattern_terms(in_body).dot(body.tail<model::kPatternTerms>());
+    row.tag_m += attitude * body.head<3>();
+  }
+  const KnotShare share = knot_share(unknowns.knots, row.t_s);
+  const Eigen::Vector3d error = (1.0 - share.fraction) * step.segment<3>(share.first) +
+                                share.fraction * step.segment<3>(share.first + 3);
+  row.tag_m.head<2>() += error.head<2>() + error.z() * row.yaw_arm_m;
+  row.tag_m -= step(unknowns.delay()) * row.velocity_mps;
+}
+
+JointEquations eliminate_anchors(std::span<const AnchorFit> fits, std::span<const double> inflation,
+                                 const SharedUnknowns& unknowns) {
+  const Eigen::Index size = unknowns.size();
+  JointEquations out;
+  out.information = Eigen::MatrixXd::Zero(size, size);
+  out.descent = Eigen::VectorXd::Zero(size);
+  out.anchors.reserve(fits.size());
+  AnchorSums sums;
+  for (std::size_t i = 0; i < fits.size(); ++i) {
+    const AnchorFit& fit = fits[i];
+    sums.cross.setZero(fit.anchor.size(), size);
+    sums.own.setZero(size, size);
+    sums.descent.setZero(size);
+    if (!fit.problem.rows.empty()) add_rows(fit, unknowns, sums);
+    if (fit.problem.position.surveyed) sums.cross.topRows<3>().setZero();
+    const NormalEquations alone = linearize(fit);
+    AnchorPart& part = out.anchors.emplace_back();
+    part.information.compute(alone.information);
+    part.descent = -alone.gradient;
+    // With L L^T the anchor's information, elimination subtracts (L^-1 cross)^T (L^-1 cross) from the shared
+    // information.
+    const Eigen::MatrixXd half = part.information.matrixL().solve(sums.cross);
+    part.gain = part.information.matrixU().solve(half);
+    sums.own.selfadjointView<Eigen::Lower>().rankUpdate(half.transpose(), -1.0);
+    sums.descent.noalias() -= part.gain.transpose() * part.descent;
+    // The anchor's own solution does not depend on the inflation: all its equations are scaled alike.
+    const double share_of_one = 1.0 / inflation[i];
+    out.information += share_of_one * sums.own;
+    out.descent += share_of_one * sums.descent;
+  }
+  out.information.triangularView<Eigen::StrictlyUpper>() = out.information.transpose();
+  return out;
+}
+
+DriveError correct_drive(Association& association, std::vector<AnchorFit>& fits) {
+  DriveError out;
+  begin_correction(fits, out);
+  const auto arrange = [&](const KnotGrid& grid, std::size_t body_tags) {
+    return lay_out(fits, association.pose_spreads, grid, body_tags);
+  };
+  const std::optional<SharedUnknowns> coarse = arrange(kCoarseKnots, association.tags.size());
+  if (!coarse) return out;
+  const std::vector<double> inflation = inflations_within(fits, kMoment_s);
+  const JointEquations equations = eliminate_anchors(fits, inflation, *coarse);
+  SharedPrior prior = likeliest_prior(equations, *coarse, [&] {
+    return eliminate_anchors(fits, inflations_within(fits, kWhile_s), *coarse);
+  });
+  if (nothing_to_correct(equations, *coarse, prior)) {
     // With the inflation of kWhile_s the ranges carry this much less information about what is constant over
     // the drive.
-    const std::vector<double> lasting = inflations(fits, kWhile_s);
+    const std::vector<double> lasting = inflations_within(fits, kWhile_s);
     const double share = std::accumulate(inflation.begin(), inflation.end(), 0.0) /
                          std::accumulate(lasting.begin(), lasting.end(), 0.0);
-    const Eigen::Index delay = unknowns.delay();
+    const Eigen::Index delay = coarse->delay();
     const double information =
-        share * equations.information(delay, delay) + 1.0 / (delay_sigma_s() * delay_sigma_s());
+        share * equations.information(delay, delay) + 1.0 / (prior.delay_sigma_s * prior.delay_sigma_s);
     out.range_delay_s = share * equations.descent(delay) / information;
     out.range_delay_sigma_s = 1.0 / std::sqrt(information);
-    report_frame(unknowns.knots, Eigen::MatrixXd::Zero(unknowns.size(), unknowns.size()), fits, out);
+    report_frame(coarse->knots, Eigen::MatrixXd::Zero(coarse->size(), coarse->size()), fits, out);
     return out;
   }
-  out.unknowns = arrange(fits, association.pose_spreads, setup, prior);
-  if (prior.drift.sigma_m > 0.0) {
-    equations = eliminate_anchors(fits, inflation, out.unknowns);
-    prior = likeliest_shape(equations, out.unknowns, refine_drift(equations, out.unknowns, prior));
+  const bool has_drift = prior.drift.sigma_m > 0.0;
+  out.unknowns = *arrange(has_drift ? kFineKnots : kNoKnots, prior.body ? coarse->body_tags : 0);
+  if (has_drift) {
+    const JointEquations fine = eliminate_anchors(fits, inflation, out.unknowns);
+    prior = likeliest_drift(fine, out.unknowns, prior);
+    if (out.unknowns.typical) {
+      const double share = white_share(prior.drift, *out.unknowns.typical, out.unknowns.knots.spacing_s);
+      for (AnchorObservations& anchor : association.anchors) {
+        for (Observation& row : anchor.rows) row.pose_spread_m2 *= static_cast<float>(share);
+      }
+    }
   }
   out.prior = prior;
   out.shared_mean = Eigen::VectorXd::Zero(out.unknowns.size());
-  if (setup.typical && prior.drift.sigma_m > 0.0) {
-    const double share = white_share(prior.drift, *setup.typical, out.unknowns.knots.spacing_s);
-    for (AnchorObservations& anchor : association.anchors) {
-      for (Observation& row : anchor.rows) row.pose_spread_m2 *= static_cast<float>(share);
-    }
-  }
   settle(association, fits, /*is_delay_open=*/true, inflation, out);
   return out;
 }
 
 void correct_further(Association& association, std::vector<AnchorFit>& fits, DriveError& drive_error) {
-  for (std::size_t i = 0; i < fits.size(); ++i) {
-    const Eigen::Index size = fits[i].anchor.size();
-    drive_error.added_covariance[i] = Eigen::MatrixXd::Zero(size, size);
-  }
-  gather_evidence(fits);
+  begin_correction(fits, drive_error);
   if (drive_error.shared_gain.empty()) return;
-  settle(association, fits, /*is_delay_open=*/false, inflations(fits, kWhile_s), drive_error);
+  settle(association, fits, /*is_delay_open=*/false, inflations_within(fits, kWhile_s), drive_error);
 }
 
 }  // namespace groma::calibration

@@ -2,15 +2,54 @@
 // Solved jointly with all anchors.
 #pragma once
 
+#include <span>
 #include <vector>
 
+#include <Eigen/Cholesky>
 #include <Eigen/Core>
 
 #include "host/calibration/association.hpp"
 #include "host/calibration/shared_unknowns.hpp"
-#include "host/calibration/site_solver.hpp"
+#include "host/model/antenna_pattern.hpp"
+#include "host/model/range_model.hpp"
 
 namespace groma::calibration {
+
+struct KnotShare {
+  Eigen::Index first = 0;  // index of the knot's first unknown
+  double fraction = 0.0;   // towards the next knot
+};
+[[nodiscard]] KnotShare knot_share(const Knots& knots, double t_s) noexcept;
+
+// Derivative of one predicted range by the shared unknowns that it depends on: the knots before and after it
+// (6), the delay, the body terms of its tag.
+inline constexpr Eigen::Index kSharedTerms = 7 + kBodyTerms;
+using SharedRow = Eigen::Matrix<double, kSharedTerms, 1>;
+// `fraction` is that of the observation's KnotShare.
+[[nodiscard]] SharedRow shared_jacobian(const Observation& row, const model::AntennaPrediction& predicted,
+                                        double fraction) noexcept;
+
+// Corrects an observation by a step of the unknowns: moves the antenna, subtracts the pattern from the range.
+// `anchor_m` is the anchor's estimated position.
+void move_row(const SharedUnknowns& unknowns, const Eigen::VectorXd& step, const Eigen::Vector3d& anchor_m,
+              Observation& row) noexcept;
+
+// One anchor's equations after elimination: its step is information^-1 descent - gain times the shared step.
+struct AnchorPart {
+  Eigen::LLT<Eigen::MatrixXd> information;
+  Eigen::VectorXd descent;
+  Eigen::MatrixXd gain;  // information^-1 times the cross information with the shared unknowns
+};
+
+struct JointEquations : SharedEquations {
+  std::vector<AnchorPart> anchors;
+};
+
+// Eliminates the anchors from the joint normal equations. `inflation` of each anchor divides its information:
+// its residuals are correlated.
+[[nodiscard]] JointEquations eliminate_anchors(std::span<const AnchorFit> fits,
+                                               std::span<const double> inflation,
+                                               const SharedUnknowns& unknowns);
 
 // Lever-arm error and antenna pattern of one tag.
 struct BodyError {

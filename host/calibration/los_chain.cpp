@@ -146,8 +146,9 @@ void keep_rows(PollTable& table, std::size_t anchor, std::span<const std::size_t
 
 void infer_states(const LosChain& chain, std::span<const Poll> polls, std::span<const LosVector> likelihoods,
                   std::span<const double> hints, LosPosterior& out) {
-  out.prior.resize(likelihoods.size());
-  out.posterior.resize(likelihoods.size());
+  const auto observed = std::count_if(polls.begin(), polls.end(), [](Poll poll) { return poll >= 0; });
+  out.prior.resize(static_cast<std::size_t>(observed));
+  out.posterior.resize(static_cast<std::size_t>(observed));
   out.log_evidence = 0.0;
   out.answered.setZero();
   out.missed.setZero();
@@ -160,7 +161,7 @@ void infer_states(const LosChain& chain, std::span<const Poll> polls, std::span<
     return chain.reply.cwiseProduct(LosVector(1.0, hints[row], hints[row]));
   };
   const auto residual = [&](Poll poll, std::size_t row) -> LosVector {
-    if (poll < 0) return LosVector::Ones();
+    if (poll < 0 || likelihoods.empty()) return LosVector::Ones();
     return likelihoods[row].cwiseMax(kMinLikelihood * likelihoods[row].maxCoeff());
   };
   std::size_t row = 0;

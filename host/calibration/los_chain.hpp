@@ -55,8 +55,8 @@ struct LosPosterior {
   LosVector missed = LosVector::Zero();
 };
 // Forward-backward algorithm. `likelihoods` holds the density of the residual in each state, 1/m, for each
-// poll with an observation, in order; `hints` the likelihood ratio of its powers, NLOS over LOS, or nothing.
-// Reuses the vectors of `out`.
+// poll with an observation, in order, or nothing; `hints` the likelihood ratio of its powers, NLOS over LOS,
+// or nothing. Reuses the vectors of `out`.
 void infer_states(const LosChain& chain, std::span<const Poll> polls, std::span<const LosVector> likelihoods,
                   std::span<const double> hints, LosPosterior& out);
 

@@ -35,6 +35,7 @@ constexpr double kNearShare = 0.9;
 // Bounds on time, by hand; the NlosSite tests hold with them.
 constexpr int kLosRounds = 7;
 constexpr int kLabelRounds = 2;
+constexpr int kRoundsWithout = 10;  // without the states of an earlier call
 // Share of LOS ranges that is enough to solve an anchor from these alone. By hand.
 constexpr double kEnoughLos = 0.25;
 // An episode of long NLOS is longer than a short one (some 3 s), as each has an unknown excess: by hand.
@@ -89,28 +90,22 @@ LosVector poll_shares(const LosVector& answered, const LosVector& missed) {
   return (answered + missed) / std::max(1e-9, (answered + missed).sum());
 }
 
-// Power class of each poll with an observation, in order.
-std::vector<model::PowerClass> classes_of(std::span<const Poll> polls, std::span<const Observation> rows) {
-  std::vector<model::PowerClass> out;
+// The observations of a pair's polls, in order.
+std::vector<const Observation*> rows_of(std::span<const Poll> polls, std::span<const Observation> rows) {
+  std::vector<const Observation*> out;
   for (const Poll poll : polls) {
-    if (poll >= 0) out.push_back(rows[static_cast<std::size_t>(poll) - rows.front().index].power_class);
+    if (poll >= 0) out.push_back(&rows[static_cast<std::size_t>(poll) - rows.front().index]);
   }
   return out;
 }
 
 // Empty if ranges carry no powers.
-std::vector<double> hints_of(std::span<const model::PowerClass> classes,
+std::vector<double> hints_of(std::span<const Observation* const> rows,
                              const std::optional<PowerHints>& powers) {
   std::vector<double> out;
   if (!powers) return out;
-  for (const model::PowerClass of : classes) out.push_back(powers->ratio(of));
+  for (const Observation* row : rows) out.push_back(powers->ratio(row->power_class));
   return out;
-}
-
-// Likelihoods of unknown residuals, for each poll with an observation.
-std::vector<LosVector> no_residuals(std::span<const Poll> polls) {
-  const auto rows = std::count_if(polls.begin(), polls.end(), [](Poll poll) { return poll >= 0; });
-  return std::vector<LosVector>(static_cast<std::size_t>(rows), LosVector::Ones());
 }
 
 // Whether too long ranges are correlated in time and clearly more frequent than too short ones.
@@ -159,14 +154,13 @@ bool replies_show_nlos(LosChain chain, std::span<const std::vector<Poll>> pairs)
     if (polls.size() < kMinPolls) continue;
     const auto is_answered = [](Poll poll) { return poll >= 0 || poll == kReplied; };
     if (std::all_of(polls.begin(), polls.end(), is_answered)) continue;
-    const std::vector<LosVector> likelihoods = no_residuals(polls);
     chain.reply = believed;
-    infer_states(chain, polls, likelihoods, {}, posterior);
+    infer_states(chain, polls, {}, {}, posterior);
     if (poll_shares(posterior.answered, posterior.missed)(kLos) >= 1.0 - kNlosByReplies) continue;
     double log_evidence = posterior.log_evidence;
     for (const double lost : kLossesInLos) {
       chain.reply(kLos) = 1.0 - lost;
-      infer_states(chain, polls, likelihoods, {}, posterior);
+      infer_states(chain, polls, {}, {}, posterior);
       log_evidence = std::max(log_evidence, posterior.log_evidence);
     }
     if (log_evidence > log_evidence_of_losses(polls) + kNlosEvidence) return true;
@@ -189,19 +183,26 @@ class LosSolver {
     out_.model = start;
   }
 
-  SiteLos solve();
+  [[nodiscard]] SiteLos solve() {
+    out_.anchors.resize(fits_.size());
+    out_.poll_shares.resize(fits_.size(), LosVector::Zero());
+    if (table_.regular || out_.model.powers) {
+      label_first();
+      refine_site(fits_, kLabelRounds);
+    }
+    for (int round = 0; round < kLosRounds; ++round) {
+      out_.model.short_nlos =
+          RobustKernel(short_nlos_shape(std::max(kShortNlosScale_m, typical_scale_m(fits_))));
+      std::vector<AnchorPass> passes;
+      for (std::size_t a = 0; a < fits_.size(); ++a) passes.push_back(infer(a));
+      estimate_model(passes);
+      for (std::size_t a = 0; a < fits_.size(); ++a) apply(a, std::move(passes[a]));
+      refine_site(fits_, 1);
+    }
+    return std::move(out_);
+  }
 
  private:
-  void label_first();
-  [[nodiscard]] AnchorPass infer(std::size_t anchor) const;
-  void ignore_weak(std::size_t anchor, AnchorPass& pass) const;
-  void weigh(std::size_t anchor, const std::vector<Poll>& polls, PairPass& pair) const;
-  void add_episodes(const PairPass& pair, double common_m, AnchorPass& out) const;
-  void add_episode(const PairPass& pair, std::size_t first, std::size_t last, double common_m,
-                   AnchorPass& out) const;
-  void estimate_model(const std::vector<AnchorPass>& passes);
-  void apply(std::size_t anchor, AnchorPass pass);
-
   [[nodiscard]] static bool had_long_nlos(const AnchorFit& fit) {
     return fit.problem.los_states != nullptr && fit.problem.los_states->has_long_nlos;
   }
@@ -217,231 +218,211 @@ class LosSolver {
     return out;
   }
 
+  // First classification, by replies and powers alone. Ranges that are not LOS are ignored or, if few are
+  // LOS, taken as long NLOS.
+  void label_first() {
+    for (std::size_t a = 0; a < fits_.size(); ++a) {
+      const std::span<const Observation> rows = fits_[a].problem.rows;
+      const std::vector<bool> seen = los_rows(out_.model, table_.polls[a], rows);
+      AnchorPass pass;
+      pass.los_states.rows.resize(rows_until(fits_[a]));
+      pass.los_states.has_long_nlos = static_cast<double>(std::count(seen.begin(), seen.end(), true)) <
+                                      kEnoughLos * static_cast<double>(pass.los_states.rows.size());
+      for (std::size_t i = 0; i < rows.size(); ++i) {
+        if (seen[i]) continue;
+        pass.los_states.rows[rows[i].index] =
+            pass.los_states.has_long_nlos ? RangeLos{.los = 0.0F, .long_nlos = 1.0F} : kIgnored;
+      }
+      apply(a, std::move(pass));
+    }
+  }
+
+  void weigh(std::size_t a, const std::vector<Poll>& polls, PairPass& pair) const {
+    const AnchorFit& fit = fits_[a];
+    const std::size_t tags = fit.problem.tag_count;
+    const double common_m = common_excess_m(fit);
+    const RobustKernel anywhere(anywhere_shape());
+    const AnchorLos* before = had_long_nlos(fit) ? fit.problem.los_states : nullptr;
+    pair.rows = rows_of(polls, fit.problem.rows);
+    for (const Observation* observation : pair.rows) {
+      const Observation& row = *observation;
+      const double r = residual_m(row, fit.anchor, tags);
+      const double variance_m2 = pose_variance_m2(row, fit.anchor, tags);
+      const auto density = [&](const RobustKernel& kernel, double excess_m) {
+        return widened_value(kernel, variance_m2, r - excess_m).density;
+      };
+      const bool in_episode = before != nullptr && before->rows[row.index].episode != kNoEpisode;
+      const double nlos = in_episode ? density(before->long_nlos,
+                                               long_nlos_excess_m(before->rows[row.index], fit.anchor, tags))
+                                     : density(anywhere, common_m);
+      pair.residuals_m.push_back(r);
+      pair.likelihoods.emplace_back(density(fit.kernels[row.tag], 0.0), density(out_.model.short_nlos, 0.0),
+                                    nlos);
+    }
+  }
+
+  [[nodiscard]] AnchorPass infer(std::size_t a) const {
+    const std::span<const Observation> rows = fits_[a].problem.rows;
+    AnchorPass out;
+    if (rows.empty()) return out;
+    out.los_states.rows.resize(rows_until(fits_[a]));
+    for (const std::vector<Poll>& polls : table_.polls[a]) {
+      PairPass pair;
+      weigh(a, polls, pair);
+      LosPosterior& posterior = pair.posterior;
+      if (out_.model.powers) {
+        // Powers are estimated without what they say themselves.
+        infer_states(out_.model.chain, polls, pair.likelihoods, {}, posterior);
+        for (std::size_t i = 0; i < pair.rows.size(); ++i) {
+          out.powers.add(pair.rows[i]->power_class, posterior.posterior[i](kLos));
+        }
+      }
+      infer_states(out_.model.chain, polls, pair.likelihoods, hints_of(pair.rows, out_.model.powers),
+                   posterior);
+      out.answered += posterior.answered;
+      out.missed += posterior.missed;
+      for (std::size_t i = 0; i < pair.rows.size(); ++i) {
+        RangeLos& row = out.los_states.rows[pair.rows[i]->index];
+        row.los = static_cast<float>(posterior.prior[i](kLos));
+        row.long_nlos = static_cast<float>(posterior.prior[i](kLongNlos));
+        row.other_density =
+            static_cast<float>(posterior.prior[i](kShortNlos) * pair.likelihoods[i](kShortNlos));
+      }
+      add_episodes(pair, common_excess_m(fits_[a]), out);
+      // Outside episodes the excess is too uncertain for the range to be of use.
+      for (std::size_t i = 0; i < pair.rows.size(); ++i) {
+        RangeLos& row = out.los_states.rows[pair.rows[i]->index];
+        if (row.episode != kNoEpisode) continue;
+        row.other_density += row.long_nlos * static_cast<float>(pair.likelihoods[i](kLongNlos));
+        row.long_nlos = 0.0F;
+      }
+    }
+    out.los_states.has_long_nlos = out.los_states.episodes > 0;
+    ignore_weak(a, out);
+    return out;
+  }
+
+  // Ignores the ranges whose first path is too weak for a line of sight, if enough are left. Their errors are
+  // small and change smoothly along the drive: by residuals they look like LOS at another position.
+  void ignore_weak(std::size_t a, AnchorPass& pass) const {
+    if (!out_.model.powers) return;
+    const std::span<const Observation> rows = fits_[a].problem.rows;
+    const auto is_weak = [&](const Observation& row) { return out_.model.powers->is_weak(row.power_class); };
+    const auto left =
+        rows.size() - static_cast<std::size_t>(std::count_if(rows.begin(), rows.end(), is_weak));
+    if (static_cast<double>(left) < kEnoughLos * static_cast<double>(rows.size())) return;
+    for (const Observation& row : rows) {
+      if (is_weak(row)) pass.los_states.rows[row.index] = kIgnored;
+    }
+  }
+
+  // Adds the stretches of long NLOS ranges that no more than a few others interrupt.
+  void add_episodes(const PairPass& pair, double common_m, AnchorPass& out) const {
+    std::size_t first = 0;
+    std::size_t last = 0;
+    std::size_t inside = 0;
+    const auto close = [&] {
+      if (inside >= kEpisodeRows && pair.rows[last]->t_s - pair.rows[first]->t_s >= kEpisode_s &&
+          !model::is_ablated(model::Mechanism::kCalibrationEpisodes)) {
+        add_episode(pair, first, last, common_m, out);
+      }
+      inside = 0;
+    };
+    for (std::size_t k = 0; k < pair.rows.size(); ++k) {
+      if (pair.posterior.posterior[k](kLongNlos) > 0.5) {
+        if (inside == 0) first = k;
+        ++inside;
+        last = k;
+      } else if (inside > 0 && k - last >= kEpisodeBreak) {
+        close();
+      }
+    }
+    if (inside > 0) close();
+  }
+
+  void add_episode(const PairPass& pair, std::size_t first, std::size_t last, double common_m,
+                   AnchorPass& out) const {
+    const auto episode = static_cast<std::int32_t>(out.los_states.episodes++);
+    const double limit_m = 4.0 * anywhere_shape().scale_m;
+    double sum_m = 0.0;
+    double weight = 0.0;
+    for (std::size_t k = first; k <= last; ++k) {
+      out.los_states.rows[pair.rows[k]->index].episode = episode;
+      const double share = pair.posterior.posterior[k](kLongNlos);
+      const double r = pair.residuals_m[k] - common_m;
+      if (std::abs(r) > limit_m) continue;
+      sum_m += share * r;
+      weight += share;
+    }
+    const double prior_weight =
+        std::pow(out_.model.long_nlos.scale_m / out_.model.excess_prior.episode_sigma_m, 2);
+    const double start_m = sum_m / (weight + prior_weight);
+    out.start_excess_m.push_back(start_m);
+    for (std::size_t k = first; k <= last; ++k) {
+      out.nlos.push_back({.residual_m = pair.residuals_m[k] - common_m - start_m,
+                          .weight = pair.posterior.posterior[k](kLongNlos)});
+    }
+  }
+
+  void estimate_model(const std::vector<AnchorPass>& passes) {
+    LosVector answered = LosVector::Zero();
+    LosVector missed = LosVector::Zero();
+    PowerCounts powers;
+    std::vector<WeighedResidual> nlos;
+    double information = 1.0 / std::pow(LongNlosPrior{}.sigma_m, 2);
+    double weighted_m = LongNlosPrior{}.mean_m * information;
+    for (std::size_t a = 0; a < passes.size(); ++a) {
+      const AnchorPass& pass = passes[a];
+      answered += pass.answered;
+      missed += pass.missed;
+      powers.add(pass.powers, 1.0);
+      nlos.insert(nlos.end(), pass.nlos.begin(), pass.nlos.end());
+      if (!had_long_nlos(fits_[a]) || !pass.los_states.has_long_nlos) continue;
+      // An excess differs from a bias only if the anchor is in LOS as well.
+      if (poll_shares(pass.answered, pass.missed)(kLos) < 0.3) continue;
+      const double weight = 1.0 / (kKnownExcess_m * kKnownExcess_m + kExcessSpread_m * kExcessSpread_m);
+      information += weight;
+      weighted_m += weight * common_excess_m(fits_[a]);
+    }
+    if (out_.model.powers) out_.model.powers->estimate(powers);
+    const LosVector believed = LosChain{}.reply;
+    if (table_.regular) {
+      out_.model.chain.reply =
+          (answered + kReplyWeight * believed)
+              .cwiseQuotient((answered + missed).array().matrix() + LosVector::Constant(kReplyWeight));
+    } else {
+      out_.model.chain.reply.setConstant(0.5);
+    }
+    out_.model.excess_prior.mean_m = weighted_m / information;
+    out_.model.excess_prior.sigma_m = std::sqrt(1.0 / information + kExcessSpread_m * kExcessSpread_m);
+    out_.model.long_nlos = fit_kernel(nlos,
+                                      {.shape = long_nlos_shape(),
+                                       .scale_weight = kLongNlosShapeWeight,
+                                       .share_weight = kLongNlosShapeWeight},
+                                      3);
+  }
+
+  void apply(std::size_t a, AnchorPass pass) {
+    AnchorFit& fit = fits_[a];
+    pass.los_states.prior = out_.model.excess_prior;
+    pass.los_states.long_nlos = RobustKernel(out_.model.long_nlos);
+    const Eigen::Index common = excess_index(fit.problem.tag_count);
+    AnchorVector anchor = AnchorVector::Zero(common + pass.los_states.extra_unknowns());
+    anchor.head(common) = fit.anchor.head(common);
+    if (pass.los_states.has_long_nlos) anchor(common) = common_excess_m(fit);
+    for (std::size_t k = 0; k < pass.los_states.episodes; ++k) {
+      anchor(episode_index(static_cast<std::int32_t>(k), fit.problem.tag_count)) = pass.start_excess_m[k];
+    }
+    fit.anchor = std::move(anchor);
+    out_.anchors[a] = std::move(pass.los_states);
+    out_.poll_shares[a] = poll_shares(pass.answered, pass.missed);
+    fit.problem.los_states = &out_.anchors[a];
+  }
+
   const PollTable& table_;
   std::vector<AnchorFit>& fits_;
   SiteLos out_;
 };
-
-// First classification, by replies and powers alone. Ranges that are not LOS are ignored or, if few are LOS,
-// taken as long NLOS.
-void LosSolver::label_first() {
-  for (std::size_t a = 0; a < fits_.size(); ++a) {
-    const std::span<const Observation> rows = fits_[a].problem.rows;
-    const std::vector<bool> seen = los_rows(out_.model, table_.polls[a], rows);
-    AnchorPass pass;
-    pass.los_states.rows.resize(rows_until(fits_[a]));
-    pass.los_states.has_long_nlos = static_cast<double>(std::count(seen.begin(), seen.end(), true)) <
-                                    kEnoughLos * static_cast<double>(pass.los_states.rows.size());
-    for (std::size_t i = 0; i < rows.size(); ++i) {
-      if (seen[i]) continue;
-      pass.los_states.rows[rows[i].index] =
-          pass.los_states.has_long_nlos ? RangeLos{.los = 0.0F, .long_nlos = 1.0F} : kIgnored;
-    }
-    apply(a, std::move(pass));
-  }
-}
-
-void LosSolver::weigh(std::size_t a, const std::vector<Poll>& polls, PairPass& pair) const {
-  const AnchorFit& fit = fits_[a];
-  const std::size_t tags = fit.problem.tag_count;
-  const double common_m = common_excess_m(fit);
-  const RobustKernel anywhere(anywhere_shape());
-  for (const Poll poll : polls) {
-    if (poll < 0) continue;
-    const Observation& row =
-        fit.problem.rows[static_cast<std::size_t>(poll) - fit.problem.rows.front().index];
-    const double r = residual_m(row, fit.anchor, tags);
-    const double variance_m2 = pose_variance_m2(row, fit.anchor, tags);
-    const auto density = [&](const RobustKernel& kernel, double excess_m) {
-      return widened_value(kernel, variance_m2, r - excess_m).density;
-    };
-    const AnchorLos* before = had_long_nlos(fit) ? fit.problem.los_states : nullptr;
-    const bool in_episode = before != nullptr && before->rows[row.index].episode != kNoEpisode;
-    const double nlos =
-        in_episode ? density(before->long_nlos, long_nlos_excess_m(before->rows[row.index], fit.anchor, tags))
-                   : density(anywhere, common_m);
-    pair.rows.push_back(&row);
-    pair.residuals_m.push_back(r);
-    pair.likelihoods.emplace_back(density(fit.kernels[row.tag], 0.0), density(out_.model.short_nlos, 0.0),
-                                  nlos);
-  }
-}
-
-AnchorPass LosSolver::infer(std::size_t a) const {
-  const std::span<const Observation> rows = fits_[a].problem.rows;
-  AnchorPass out;
-  if (rows.empty()) return out;
-  out.los_states.rows.resize(rows_until(fits_[a]));
-  for (const std::vector<Poll>& polls : table_.polls[a]) {
-    PairPass pair;
-    weigh(a, polls, pair);
-    LosPosterior& posterior = pair.posterior;
-    const std::vector<model::PowerClass> classes = classes_of(polls, rows);
-    if (out_.model.powers) {
-      // Powers are estimated without what they say themselves.
-      infer_states(out_.model.chain, polls, pair.likelihoods, {}, posterior);
-      for (std::size_t i = 0; i < classes.size(); ++i) {
-        out.powers.add(classes[i], posterior.posterior[i](kLos));
-      }
-    }
-    infer_states(out_.model.chain, polls, pair.likelihoods, hints_of(classes, out_.model.powers), posterior);
-    out.answered += posterior.answered;
-    out.missed += posterior.missed;
-    for (std::size_t i = 0; i < pair.rows.size(); ++i) {
-      RangeLos& row = out.los_states.rows[pair.rows[i]->index];
-      row.los = static_cast<float>(posterior.prior[i](kLos));
-      row.long_nlos = static_cast<float>(posterior.prior[i](kLongNlos));
-      row.other_density =
-          static_cast<float>(posterior.prior[i](kShortNlos) * pair.likelihoods[i](kShortNlos));
-    }
-    add_episodes(pair, common_excess_m(fits_[a]), out);
-    // Outside episodes the excess is too uncertain for the range to be of use.
-    for (std::size_t i = 0; i < pair.rows.size(); ++i) {
-      RangeLos& row = out.los_states.rows[pair.rows[i]->index];
-      if (row.episode != kNoEpisode) continue;
-      row.other_density += row.long_nlos * static_cast<float>(pair.likelihoods[i](kLongNlos));
-      row.long_nlos = 0.0F;
-    }
-  }
-  out.los_states.has_long_nlos = out.los_states.episodes > 0;
-  ignore_weak(a, out);
-  return out;
-}
-
-// Ignores the ranges whose first path is too weak for a line of sight, if enough are left. Their errors are
-// small and change smoothly along the drive: by residuals they look like LOS at another position.
-void LosSolver::ignore_weak(std::size_t a, AnchorPass& pass) const {
-  if (!out_.model.powers) return;
-  const std::span<const Observation> rows = fits_[a].problem.rows;
-  const auto is_weak = [&](const Observation& row) { return out_.model.powers->is_weak(row.power_class); };
-  const auto left = rows.size() - static_cast<std::size_t>(std::count_if(rows.begin(), rows.end(), is_weak));
-  if (static_cast<double>(left) < kEnoughLos * static_cast<double>(rows.size())) return;
-  for (const Observation& row : rows) {
-    if (is_weak(row)) pass.los_states.rows[row.index] = kIgnored;
-  }
-}
-
-// Adds the stretches of long NLOS ranges that no more than a few others interrupt.
-void LosSolver::add_episodes(const PairPass& pair, double common_m, AnchorPass& out) const {
-  std::size_t first = 0;
-  std::size_t last = 0;
-  std::size_t inside = 0;
-  const auto close = [&] {
-    if (inside >= kEpisodeRows && pair.rows[last]->t_s - pair.rows[first]->t_s >= kEpisode_s &&
-        !model::is_ablated(model::Mechanism::kCalibrationEpisodes)) {
-      add_episode(pair, first, last, common_m, out);
-    }
-    inside = 0;
-  };
-  for (std::size_t k = 0; k < pair.rows.size(); ++k) {
-    if (pair.posterior.posterior[k](kLongNlos) > 0.5) {
-      if (inside == 0) first = k;
-      ++inside;
-      last = k;
-    } else if (inside > 0 && k - last >= kEpisodeBreak) {
-      close();
-    }
-  }
-  if (inside > 0) close();
-}
-
-void LosSolver::add_episode(const PairPass& pair, std::size_t first, std::size_t last, double common_m,
-                            AnchorPass& out) const {
-  const auto episode = static_cast<std::int32_t>(out.los_states.episodes++);
-  const double limit_m = 4.0 * anywhere_shape().scale_m;
-  double sum_m = 0.0;
-  double weight = 0.0;
-  for (std::size_t k = first; k <= last; ++k) {
-    out.los_states.rows[pair.rows[k]->index].episode = episode;
-    const double share = pair.posterior.posterior[k](kLongNlos);
-    const double r = pair.residuals_m[k] - common_m;
-    if (std::abs(r) > limit_m) continue;
-    sum_m += share * r;
-    weight += share;
-  }
-  const double prior_weight =
-      std::pow(out_.model.long_nlos.scale_m / out_.model.excess_prior.episode_sigma_m, 2);
-  const double start_m = sum_m / (weight + prior_weight);
-  out.start_excess_m.push_back(start_m);
-  for (std::size_t k = first; k <= last; ++k) {
-    out.nlos.push_back({.residual_m = pair.residuals_m[k] - common_m - start_m,
-                        .weight = pair.posterior.posterior[k](kLongNlos)});
-  }
-}
-
-void LosSolver::estimate_model(const std::vector<AnchorPass>& passes) {
-  LosVector answered = LosVector::Zero();
-  LosVector missed = LosVector::Zero();
-  PowerCounts powers;
-  std::vector<WeighedResidual> nlos;
-  double information = 1.0 / std::pow(LongNlosPrior{}.sigma_m, 2);
-  double weighted_m = LongNlosPrior{}.mean_m * information;
-  for (std::size_t a = 0; a < passes.size(); ++a) {
-    const AnchorPass& pass = passes[a];
-    answered += pass.answered;
-    missed += pass.missed;
-    powers.add(pass.powers, 1.0);
-    nlos.insert(nlos.end(), pass.nlos.begin(), pass.nlos.end());
-    if (!had_long_nlos(fits_[a]) || !pass.los_states.has_long_nlos) continue;
-    // An excess differs from a bias only if the anchor is in LOS as well.
-    if (poll_shares(pass.answered, pass.missed)(kLos) < 0.3) continue;
-    const double weight = 1.0 / (kKnownExcess_m * kKnownExcess_m + kExcessSpread_m * kExcessSpread_m);
-    information += weight;
-    weighted_m += weight * common_excess_m(fits_[a]);
-  }
-  if (out_.model.powers) out_.model.powers->estimate(powers);
-  const LosVector believed = LosChain{}.reply;
-  if (table_.regular) {
-    out_.model.chain.reply =
-        (answered + kReplyWeight * believed)
-            .cwiseQuotient((answered + missed).array().matrix() + LosVector::Constant(kReplyWeight));
-  } else {
-    out_.model.chain.reply.setConstant(0.5);
-  }
-  out_.model.excess_prior.mean_m = weighted_m / information;
-  out_.model.excess_prior.sigma_m = std::sqrt(1.0 / information + kExcessSpread_m * kExcessSpread_m);
-  out_.model.long_nlos = fit_kernel(nlos,
-                                    {.shape = long_nlos_shape(),
-                                     .scale_weight = kLongNlosShapeWeight,
-                                     .share_weight = kLongNlosShapeWeight},
-                                    3);
-}
-
-void LosSolver::apply(std::size_t a, AnchorPass pass) {
-  AnchorFit& fit = fits_[a];
-  pass.los_states.prior = out_.model.excess_prior;
-  pass.los_states.long_nlos = RobustKernel(out_.model.long_nlos);
-  const Eigen::Index common = excess_index(fit.problem.tag_count);
-  AnchorVector anchor = AnchorVector::Zero(common + pass.los_states.extra_unknowns());
-  anchor.head(common) = fit.anchor.head(common);
-  if (pass.los_states.has_long_nlos) anchor(common) = common_excess_m(fit);
-  for (std::size_t k = 0; k < pass.los_states.episodes; ++k) {
-    anchor(episode_index(static_cast<std::int32_t>(k), fit.problem.tag_count)) = pass.start_excess_m[k];
-  }
-  fit.anchor = std::move(anchor);
-  out_.anchors[a] = std::move(pass.los_states);
-  out_.poll_shares[a] = poll_shares(pass.answered, pass.missed);
-  fit.problem.los_states = &out_.anchors[a];
-}
-
-SiteLos LosSolver::solve() {
-  out_.anchors.resize(fits_.size());
-  out_.poll_shares.resize(fits_.size(), LosVector::Zero());
-  if (table_.regular || out_.model.powers) {
-    label_first();
-    refine_site(fits_, kLabelRounds);
-  }
-  for (int round = 0; round < kLosRounds; ++round) {
-    out_.model.short_nlos =
-        RobustKernel(short_nlos_shape(std::max(kShortNlosScale_m, typical_scale_m(fits_))));
-    std::vector<AnchorPass> passes;
-    for (std::size_t a = 0; a < fits_.size(); ++a) passes.push_back(infer(a));
-    estimate_model(passes);
-    for (std::size_t a = 0; a < fits_.size(); ++a) apply(a, std::move(passes[a]));
-    refine_site(fits_, 1);
-  }
-  return std::move(out_);
-}
 
 }  // namespace
 
@@ -450,12 +431,10 @@ std::vector<bool> los_rows(const LosModel& model, std::span<const std::vector<Po
   std::vector<bool> out(rows.size(), false);
   LosPosterior posterior;
   for (const std::vector<Poll>& polls : pairs) {
-    infer_states(model.chain, polls, no_residuals(polls), hints_of(classes_of(polls, rows), model.powers),
-                 posterior);
-    std::size_t i = 0;
-    for (const Poll poll : polls) {
-      if (poll < 0) continue;
-      out[static_cast<std::size_t>(poll) - rows.front().index] = posterior.posterior[i++](kLos) > 0.5;
+    const std::vector<const Observation*> answered = rows_of(polls, rows);
+    infer_states(model.chain, polls, {}, hints_of(answered, model.powers), posterior);
+    for (std::size_t i = 0; i < answered.size(); ++i) {
+      out[static_cast<std::size_t>(answered[i] - rows.data())] = posterior.posterior[i](kLos) > 0.5;
     }
   }
   return out;
@@ -503,6 +482,18 @@ bool needs_nlos_states(const PollTable& table, std::vector<AnchorFit>& fits) {
     if (long_residuals_are_correlated(fit)) return true;
   }
   return false;
+}
+
+void find_nlos(const PollTable& table, std::vector<AnchorFit>& fits, SiteLos& los_states) {
+  if (!los_states.anchors.empty()) {
+    for (AnchorFit& fit : fits) {
+      fit.problem.los_states = nullptr;
+      fit.anchor.conservativeResize(excess_index(fit.problem.tag_count));
+    }
+    los_states = {};
+    refine_site(fits, kRoundsWithout);
+  }
+  if (needs_nlos_states(table, fits)) los_states = solve_los(table, first_los_model(table, fits), fits);
 }
 
 SiteLos solve_los(const PollTable& table, const LosModel& start, std::vector<AnchorFit>& fits) {

@@ -43,7 +43,11 @@ struct SiteLos {
 // better.
 [[nodiscard]] bool needs_nlos_states(const PollTable& table, std::vector<AnchorFit>& fits);
 
-// Classifies each range and solves the fits with these states. `table` is of the same observations.
+// Classifies each range and solves the fits with these states if they are needed; drops those of an earlier
+// call. `table` is of the same observations.
+void find_nlos(const PollTable& table, std::vector<AnchorFit>& fits, SiteLos& los_states);
+
+// The same whether they are needed or not, starting from a model.
 [[nodiscard]] SiteLos solve_los(const PollTable& table, const LosModel& start, std::vector<AnchorFit>& fits);
 
 }  // namespace groma::calibration

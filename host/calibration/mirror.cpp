@@ -204,7 +204,6 @@ void weigh_by_earlier(const EarlierPlace& earlier, AnchorFit& fit, MirrorHypothe
   mirror.cost_excess += fit.inflation * (cost(mirror.anchor) - cost(fit.anchor));
   if (mirror.cost_excess >= 0.0) return;
   std::swap(fit.anchor, mirror.anchor);
-  fit.cost = robust_cost(fit);
   mirror.cost_excess = -mirror.cost_excess;
 }
 

@@ -48,7 +48,7 @@ struct EarlierPlace {
 };
 // Adds the cost of the earlier position to the hypothesis' excess; it is limited, because the anchor may have
 // been moved, and multiplied by the fit's inflation, because the excess is for independent residuals. If the
-// excess becomes negative, fit and hypothesis swap places.
+// excess becomes negative, fit and hypothesis swap places; the fit's cost is that of its former place then.
 void weigh_by_earlier(const EarlierPlace& earlier, AnchorFit& fit, MirrorHypothesis& mirror);
 
 // Tests both mirror positions of each anchor and refines all anchors. A fit moves to the position that

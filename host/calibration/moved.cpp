@@ -141,7 +141,7 @@ AnchorFit place_of_stretch(const AnchorFit& here, std::span<const Observation> s
   return out;
 }
 
-// Among observations that clearly prefer a place: share of those on the wrong side of the stretch's ends.
+// As SecondPlace::torn_share.
 double torn_share(std::span<const double> prefer_there, const Stretch& stretch) {
   double clear = 0.0;
   double torn = 0.0;
@@ -208,9 +208,6 @@ std::optional<SecondPlace> separate(const AnchorProblem& problem, Stretch stretc
 
 // Solution of the observations that the fit rejects, if they share a place far from the fit's.
 std::optional<AnchorVector> find_far_place(const AnchorFit& fit) {
-  AnchorFit far;
-  far.problem = fit.problem;
-  far.problem.los_states = nullptr;
   std::vector<Observation> rejected;
   const std::size_t tags = fit.problem.tag_count;
   for (const Observation& row : fit.problem.rows) {
@@ -219,8 +216,7 @@ std::optional<AnchorVector> find_far_place(const AnchorFit& fit) {
   const auto least = std::max(static_cast<double>(kLeastStretchRows),
                               kRejectedShare * static_cast<double>(fit.problem.rows.size()));
   if (static_cast<double>(rejected.size()) < least) return std::nullopt;
-  far.problem.rows = rejected;
-  find_start(far);
+  const AnchorFit far = solve_alone(fit.problem, rejected, 0);
   if ((far.anchor.head<3>() - fit.anchor.head<3>()).norm() < kFarPlace_m) return std::nullopt;
   const auto explained = std::count_if(rejected.begin(), rejected.end(), [&](const Observation& row) {
     return std::abs(residual_m(row, far.anchor, tags)) <
@@ -323,15 +319,16 @@ Suspicion suspect(const AnchorFit& fit, std::span<const Observation> rows) {
   return out;
 }
 
-struct Piece {
-  std::size_t anchor = 0;
-  std::size_t begin = 0;  // row
-};
-
+// The parts of the drive before, between and after an anchor's changes, one anchor after the other.
 struct Pieces {
-  std::vector<Piece> places;
+  std::vector<std::size_t> anchors;  // of each piece
   std::vector<AnchorFit> fits;
   SiteLos los_states;
+
+  // Whether the next piece is of the same anchor.
+  [[nodiscard]] bool has_next(std::size_t piece) const noexcept {
+    return piece + 1 < anchors.size() && anchors[piece + 1] == anchors[piece];
+  }
 };
 
 // Starts from the place that explains the observations best: few observations have several basins.
@@ -362,7 +359,7 @@ Pieces solve_pieces(std::span<const Suspicion> suspicions, const PollTable& tabl
       piece.problem.los_states = nullptr;
       piece.problem.rows = rows.subspan(begin, end - begin);
       start_at_best(piece, suspicions[a].places_m);
-      out.places.push_back({.anchor = a, .begin = begin});
+      out.anchors.push_back(a);
       piece_table.polls.push_back(
           cut(table.polls[a], k == 0 ? 0 : static_cast<Poll>(rows[begin].index),
               last ? std::numeric_limits<Poll>::max() : static_cast<Poll>(rows[end].index)));
@@ -544,24 +541,24 @@ std::vector<AnchorPath> find_moved(const PollTable& table, SiteLos& los_states,
       out[a].moved_at_s.clear();
       out[a].places_m.clear();
     }
-    for (std::size_t i = 0; i < pieces.places.size(); ++i) {
-      const std::size_t a = pieces.places[i].anchor;
-      if (i + 1 < pieces.places.size() && pieces.places[i + 1].anchor == a) {
-        const std::size_t row = pieces.places[i + 1].begin;
+    for (std::size_t i = 0; i < pieces.fits.size(); ++i) {
+      const std::size_t a = pieces.anchors[i];
+      if (pieces.has_next(i)) {
+        const Observation& change = pieces.fits[i + 1].problem.rows.front();
         if (const std::optional<Shift> shift = move_to_next(pieces, i)) {
-          out[a].moved_at_s.push_back(fits[a].problem.rows[row].t_s);
+          out[a].moved_at_s.push_back(change.t_s);
           out[a].last_move_m = shift->by_m;
         } else {
-          std::erase(suspicions[a].changes, row);
+          std::erase(suspicions[a].changes, change.index - fits[a].problem.rows.front().index);
           all_are_moves = false;
         }
       }
       out[a].places_m.push_back(pieces.fits[i].anchor.head<3>());
     }
   }
-  for (std::size_t i = 0; i < pieces.places.size(); ++i) {
-    const std::size_t a = pieces.places[i].anchor;
-    if (i + 1 < pieces.places.size() && pieces.places[i + 1].anchor == a) continue;
+  for (std::size_t i = 0; i < pieces.fits.size(); ++i) {
+    if (pieces.has_next(i)) continue;
+    const std::size_t a = pieces.anchors[i];
     fits[a] = std::move(pieces.fits[i]);
     if (los_states.anchors.empty()) continue;
     los_states.anchors[a] = std::move(pieces.los_states.anchors[i]);

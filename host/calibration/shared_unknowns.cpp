@@ -1,11 +1,15 @@
 #include "host/calibration/shared_unknowns.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <limits>
 #include <utility>
 
+#include <Eigen/Cholesky>
 #include <Eigen/LU>
+
+#include "host/model/ablation.hpp"
 
 namespace groma::calibration {
 namespace {
@@ -13,6 +17,37 @@ namespace {
 // Numerics: the sigmas of poses that count as exact. Their information, 1e12 and 1e14, leaves some digits.
 constexpr double kMinPoseSigma_m = 1e-6;
 constexpr double kMinPoseSigma_rad = 1e-7;
+
+// First sigmas of the drift to try. The marginal likelihood of the ranges chooses one of them, then refines
+// sigma, yaw sigma and correlation time by these factors, until no factor gains kMinDriftGain. By hand:
+// starts a factor of 3 apart, steps that shrink by square roots, a negligible gain, and a drift as in
+// CalibrationCampaign.StaysConsistentWhenPosesDrift; DriveError.EstimatesSizeAndCorrelationTime... holds.
+constexpr std::array kDriftSigmas_m{0.02, 0.06, 0.2, 0.6};
+constexpr double kFirstDriftFactor = 2.0;
+constexpr double kLastDriftFactor = 1.15;
+constexpr double kMinDriftGain = 0.01;
+constexpr DriftPrior kFirstDrift{.sigma_m = 0.0, .sigma_yaw_rad = 0.004, .correlation_s = 20.0};
+constexpr std::array kYawFactors{0.4, 2.5};
+// Then whether the drift is smooth, and how fast: inverse natural frequencies and damping ratios to try. By
+// hand: factors of 1.5 and 3; DriveError.DistinguishesSmoothFromRoughDrift holds with them.
+constexpr std::array kSmoothTimes_s{5.0, 7.5, 11.0, 17.0, 25.0, 37.0};
+constexpr std::array kDampingRatios{1.0, 0.3, 0.1};
+constexpr std::array kSmoothFactors{1.0, 0.7};
+// Least gain in log evidence (nats) to accept a drift, body terms, or body terms in addition to a drift; and
+// a smooth or an oscillating drift in place of a rough one. By hand: 1, 4, 8 and 10 nats are odds of 2.7, 55,
+// 3000 and 22000 to 1. DriveError.DistinguishesSmooth..., LeavesExactPoses... and
+// DoesNotTakePlaceDependentErrors... hold with them.
+constexpr double kMinDriftEvidence = 4.0;
+constexpr double kMinBodyEvidence = 10.0;
+constexpr double kMinMoreBodyEvidence = 8.0;
+constexpr double kMinSmoothEvidence = 1.0;
+constexpr double kMinOscillationEvidence = 4.0;
+// Least gain that has to remain with the inflation of kWhile_s (drive_error.cpp): errors that depend on place
+// in each anchor's own ranges can look like shared ones. By hand;
+// DriveError.DoesNotTakePlaceDependentErrors... holds with it: neither is accepted in any of six drives with
+// place-dependent errors of 0.08 m.
+constexpr double kMinLastingDrift = 4.0;
+constexpr double kMinLastingBody = 2.0;
 
 constexpr double inverse_square(double x) noexcept {
   return 1.0 / (x * x);
@@ -67,130 +102,84 @@ BodyVector body_information() noexcept {
   return out;
 }
 
-// Sums of one anchor, before its elimination.
-struct AnchorSums {
-  Eigen::MatrixXd cross;  // with the shared unknowns
-  Eigen::MatrixXd own;    // of the shared unknowns, lower triangle
-  Eigen::VectorXd descent;
+// Log evidence: log likelihood of the ranges with the drive's error marginalized, up to a constant.
+double evidence(const SharedEquations& equations, const SharedUnknowns& unknowns, const SharedPrior& prior) {
+  // Unknowns that are not fixed at zero are contiguous.
+  const Eigen::Index first = prior.drift.sigma_m > 0.0 ? 0 : unknowns.delay();
+  const Eigen::Index size = (prior.body ? unknowns.size() : unknowns.body(0)) - first;
+  const Eigen::LLT<Eigen::MatrixXd> posterior(
+      equations.information.block(first, first, size, size) +
+      prior_information(unknowns, prior).block(first, first, size, size));
+  if (posterior.info() != Eigen::Success) return -std::numeric_limits<double>::infinity();
+  const auto descent = equations.descent.segment(first, size);
+  const double log_determinant = 2.0 * posterior.matrixLLT().diagonal().array().log().sum();
+  return 0.5 * descent.dot(posterior.solve(descent)) -
+         0.5 * (log_determinant - prior_log_determinant(unknowns, prior));
+}
+
+struct Belief {
+  SharedPrior prior;
+  double evidence = 0.0;
 };
 
-// Sums over one tag's observations of the derivatives by the pair (position, terms) and by the first `Shared`
-// shared terms. Observations are buffered side by side and summed kLanes at a time.
-template <Eigen::Index Shared>
-class Moments {
- public:
-  static constexpr Eigen::Index kPair = model::kPairSize;
-  static constexpr Eigen::Index kSize = kPair + Shared;
-  // Shared terms of the two knots.
-  static constexpr Eigen::Index kKnots = 6;
-  static constexpr Eigen::Index kRest = kPair + kKnots;
-  using Row = Eigen::Array<double, 1, kSize>;
-  // Index of each term: those by the pair among the anchor's unknowns, the others among the shared ones.
-  using Places = Eigen::Array<Eigen::Index, kSize, 1>;
+// Replaces `best` if the log evidence with the prior is higher by more than `min_gain`.
+void keep_likelier(const SharedEquations& equations, const SharedUnknowns& unknowns, const SharedPrior& prior,
+                   double min_gain, Belief& best) {
+  const double found = evidence(equations, unknowns, prior) - min_gain;
+  if (found > best.evidence) best = {.prior = prior, .evidence = found};
+}
 
-  void add(const Row& j, double slope, double weight) noexcept {
-    rows_.row(waiting_) = j;
-    weight_(waiting_) = weight;
-    slope_(waiting_) = slope;
-    if (++waiting_ == kLanes) sum_up();
+// Most likely drift in addition to `before`; `before` itself if none gains enough evidence.
+Belief select_drift(const SharedEquations& equations, const SharedUnknowns& unknowns, const Belief& before) {
+  if (model::is_ablated(model::Mechanism::kCalibrationDrift)) return before;
+  Belief best = before;
+  best.evidence += kMinDriftEvidence;
+  SharedPrior prior = before.prior;
+  prior.drift = kFirstDrift;
+  for (const double sigma_m : kDriftSigmas_m) {
+    prior.drift.sigma_m = sigma_m;
+    keep_likelier(equations, unknowns, prior, 0.0, best);
   }
-  // Adds the sums of the terms [begin, end) to `sums` at their indices, and clears them.
-  void move_to(const Places& places, Eigen::Index begin, Eigen::Index end, AnchorSums& sums) noexcept {
-    sum_up();
-    for (Eigen::Index from = begin; from < end; ++from) {
-      const Eigen::Index to = places(from);
-      for (Eigen::Index row = 0; row < kPair; ++row) take(sums.cross(places(row), to), square_(from, row));
-      for (Eigen::Index row = from; row < kSize; ++row) take(sums.own(places(row), to), square_(row, from));
-      take(sums.descent(to), descent_(from - kPair));
-    }
+  if (unknowns.typical) {
+    prior.drift.sigma_m = unknowns.typical->sigma_m;
+    prior.drift.sigma_yaw_rad = unknowns.typical->sigma_yaw_rad;
+    keep_likelier(equations, unknowns, prior, 0.0, best);
   }
+  return best.prior.drift.sigma_m > 0.0 ? best : before;
+}
 
- private:
-  static void take(double& to, double& from) noexcept {
-    to += from;
-    from = 0.0;
-  }
-  void sum_up() noexcept {
-    if (waiting_ == 0) return;
-    // Lanes left over from earlier observations get no weight.
-    for (Eigen::Index lane = waiting_; lane < kLanes; ++lane) {
-      weight_(lane) = 0.0;
-      slope_(lane) = 0.0;
-    }
-    waiting_ = 0;
-    for (Eigen::Index column = 0; column < kSize; ++column) {
-      const Lanes weighted = weight_ * rows_.col(column);
-      for (Eigen::Index row = std::max(column, kPair); row < kSize; ++row) {
-        square_(row, column) += (weighted * rows_.col(row)).sum();
-      }
-    }
-    for (Eigen::Index k = 0; k < Shared; ++k) descent_(k) += (slope_ * rows_.col(kPair + k)).sum();
-  }
-
-  Eigen::Matrix<double, kSize, kSize> square_ =
-      Eigen::Matrix<double, kSize, kSize>::Zero();  // lower triangle
-  Eigen::Matrix<double, Shared, 1> descent_ = Eigen::Matrix<double, Shared, 1>::Zero();
-  Eigen::Array<double, kLanes, kSize> rows_ = Eigen::Array<double, kLanes, kSize>::Zero();
-  Lanes weight_;
-  Lanes slope_;
-  Eigen::Index waiting_ = 0;
-};
-
-template <Eigen::Index Shared>
-void add_rows(const AnchorFit& fit, const SharedUnknowns& unknowns, AnchorSums& sums) {
-  using Sums = Moments<Shared>;
-  const std::size_t tags = fit.problem.tag_count;
-  struct Tag {
-    Sums moments;
-    typename Sums::Places places;
-  };
-  std::vector<Tag> of_tag(tags);
-  for (std::size_t tag = 0; tag < tags; ++tag) {
-    typename Sums::Places& places = of_tag[tag].places;
-    const PairIndex pair = pair_index(tag, tags);
-    std::copy(pair.begin(), pair.end(), places.data());
-    places(Sums::kRest) = unknowns.delay();
-    for (Eigen::Index k = 0; Sums::kRest + 1 + k < Sums::kSize; ++k) {
-      places(Sums::kRest + 1 + k) = unknowns.body(tag) + k;
-    }
-  }
-  Eigen::Index first = 0;
-  // The next observations are between other knots.
-  const auto leave_knots = [&] {
-    for (auto& [moments, places] : of_tag) {
-      for (Eigen::Index k = 0; k < Sums::kKnots; ++k) places(Sums::kPair + k) = first + k;
-      moments.move_to(places, Sums::kPair, Sums::kRest, sums);
-    }
-  };
-  for (const Observation& row : fit.problem.rows) {
-    const RowAt at = row_at(fit, row);
-    const RowValue& value = at.value;
-    const KnotShare share = knot_share(unknowns.knots, row.t_s);
-    if (share.first != first) leave_knots();
-    first = share.first;
-    typename Sums::Row j;
-    j.template head<Sums::kPair>() = at.j.array().transpose();
-    j.template tail<Shared>() =
-        shared_jacobian(row, at.predicted, share.fraction).template head<Shared>().array().transpose();
-    // Long NLOS ranges count too: they tie the anchor to the poses, so that a common shift of both changes no
-    // residual.
-    of_tag[row.tag].moments.add(j, value.seen.slope + value.nlos_slope,
-                                value.seen.weight + value.nlos_weight);
-    if (value.nlos_weight == 0.0) continue;
-    const RangeLos& los_states = fit.problem.los_states->rows[row.index];
-    const Eigen::Matrix<double, 1, Shared> by_long_nlos =
-        value.nlos_weight * j.template tail<Shared>().matrix();
-    const auto add_long_nlos = [&](Eigen::Index to) {
-      sums.cross.template block<1, Sums::kKnots>(to, first) += by_long_nlos.template head<Sums::kKnots>();
-      for (Eigen::Index k = Sums::kKnots; k < Shared; ++k) {
-        sums.cross(to, of_tag[row.tag].places(Sums::kPair + k)) += by_long_nlos(k);
-      }
+// The first-order drift that maximizes the evidence.
+SharedPrior refine_drift(const SharedEquations& equations, const SharedUnknowns& unknowns,
+                         const SharedPrior& rough) {
+  Belief best{.prior = rough, .evidence = evidence(equations, unknowns, rough)};
+  for (double step = kFirstDriftFactor; step > kLastDriftFactor;) {
+    const Belief before = best;
+    const auto scale = [&](double correlation, double shift, double turn) {
+      SharedPrior prior = before.prior;
+      prior.drift.correlation_s *= correlation;
+      prior.drift.sigma_m *= shift;
+      prior.drift.sigma_yaw_rad *= turn;
+      keep_likelier(equations, unknowns, prior, 0.0, best);
     };
-    add_long_nlos(excess_index(tags));
-    if (los_states.episode != kNoEpisode) add_long_nlos(episode_index(los_states.episode, tags));
+    for (const double factor : {step, 1.0 / step}) {
+      // Ranges determine sigma^2 / time, the rate of a first-order process, better than either: scale the
+      // sigmas along with the time.
+      scale(factor, std::sqrt(factor), std::sqrt(factor));
+      scale(1.0, factor, 1.0);
+      scale(1.0, 1.0, factor);
+    }
+    if (best.evidence < before.evidence + kMinDriftGain) step = std::sqrt(step);
   }
-  leave_knots();
-  for (auto& [moments, places] : of_tag) moments.move_to(places, Sums::kRest, Sums::kSize, sums);
+  return best.prior;
+}
+
+Belief select_body(const SharedEquations& equations, const SharedUnknowns& unknowns, const Belief& before,
+                   double min_evidence) {
+  if (model::is_ablated(model::Mechanism::kCalibrationBody)) return before;
+  SharedPrior prior = before.prior;
+  prior.body = true;
+  const Belief found{.prior = prior, .evidence = evidence(equations, unknowns, prior)};
+  return found.evidence > before.evidence + min_evidence ? found : before;
 }
 
 }  // namespace
@@ -204,7 +193,8 @@ double drift_correlation(const DriftPrior& drift, double apart_s) noexcept {
   return std::exp(-damping * a) * (std::cos(frequency * a) + damping / frequency * std::sin(frequency * a));
 }
 
-std::optional<Knots> place_knots(std::span<const AnchorFit> fits, const KnotGrid& grid) {
+std::optional<SharedUnknowns> lay_out(std::span<const AnchorFit> fits, std::span<const PoseSpread> spreads,
+                                      const KnotGrid& grid, std::size_t body_tags) {
   double begin_s = std::numeric_limits<double>::infinity();
   double end_s = -begin_s;
   for (const AnchorFit& fit : fits) {
@@ -214,17 +204,15 @@ std::optional<Knots> place_knots(std::span<const AnchorFit> fits, const KnotGrid
   }
   const double duration_s = end_s - begin_s;
   if (!(duration_s > 0.0)) return std::nullopt;
-  Knots knots{.begin_s = begin_s};
+  SharedUnknowns out;
+  out.body_tags = body_tags;
+  Knots& knots = out.knots;
+  knots.begin_s = begin_s;
   knots.spacing_s = std::max(grid.spacing_s, duration_s / (grid.max_count - 1.0));
   knots.count = 2 + static_cast<Eigen::Index>(duration_s / knots.spacing_s);
-  return knots;
-}
-
-KnotShare knot_share(const Knots& knots, double t_s) noexcept {
-  const double position =
-      std::clamp((t_s - knots.begin_s) / knots.spacing_s, 0.0, static_cast<double>(knots.count - 1));
-  const auto k = std::min(static_cast<Eigen::Index>(position), knots.count - 2);
-  return {.first = 3 * k, .fraction = position - static_cast<double>(k)};
+  out.typical = typical_quality(spreads);
+  if (out.typical) out.knot_scale = scale_knots(knots, spreads, *out.typical);
+  return out;
 }
 
 std::optional<PoseQuality> typical_quality(std::span<const PoseSpread> spreads) {
@@ -283,34 +271,6 @@ double white_share(const DriftPrior& drift, const PoseQuality& typical, double s
   return std::max(0.0, 1.0 - slow) + std::min(1.0, slow) * missed;
 }
 
-SharedRow shared_jacobian(const Observation& row, const model::AntennaPrediction& predicted,
-                          double fraction) noexcept {
-  const Eigen::Vector3d by_antenna = predicted.scale * predicted.direction;
-  const double by_yaw = by_antenna.head<2>().dot(row.yaw_arm_m);
-  const Eigen::Vector3d drift(by_antenna.x(), by_antenna.y(), by_yaw);
-  const Eigen::Vector3d in_body = row.attitude.conjugate().cast<double>() * predicted.direction;
-  SharedRow out;
-  out << (1.0 - fraction) * drift, fraction * drift, -by_antenna.dot(row.velocity_mps),
-      predicted.scale * in_body, model::pattern_terms(in_body);
-  return out;
-}
-
-void move_row(const SharedUnknowns& unknowns, const Eigen::VectorXd& step, const Eigen::Vector3d& anchor_m,
-              Observation& row) noexcept {
-  if (unknowns.body_tags > 0) {
-    const Eigen::Quaterniond attitude = row.attitude.cast<double>();
-    const BodyVector body = step.segment<kBodyTerms>(unknowns.body(row.tag));
-    const Eigen::Vector3d in_body = attitude.conjugate() * (row.tag_m - anchor_m).normalized();
-    row.range_m -= model::pattern_terms(in_body).dot(body.tail<model::kPatternTerms>());
-    row.tag_m += attitude * body.head<3>();
-  }
-  const KnotShare share = knot_share(unknowns.knots, row.t_s);
-  const Eigen::Vector3d error = (1.0 - share.fraction) * step.segment<3>(share.first) +
-                                share.fraction * step.segment<3>(share.first + 3);
-  row.tag_m.head<2>() += error.head<2>() + error.z() * row.yaw_arm_m;
-  row.tag_m -= step(unknowns.delay()) * row.velocity_mps;
-}
-
 Eigen::MatrixXd prior_information(const SharedUnknowns& unknowns, const SharedPrior& prior) {
   const Knots& knots = unknowns.knots;
   Eigen::MatrixXd out = Eigen::MatrixXd::Zero(unknowns.size(), unknowns.size());
@@ -354,42 +314,58 @@ double prior_log_determinant(const SharedUnknowns& unknowns, const SharedPrior& 
   return out;
 }
 
-JointEquations eliminate_anchors(std::span<const AnchorFit> fits, std::span<const double> inflation,
-                                 const SharedUnknowns& unknowns) {
-  const Eigen::Index size = unknowns.size();
-  JointEquations out;
-  out.information = Eigen::MatrixXd::Zero(size, size);
-  out.descent = Eigen::VectorXd::Zero(size);
-  out.anchors.reserve(fits.size());
-  AnchorSums sums;
-  for (std::size_t i = 0; i < fits.size(); ++i) {
-    const AnchorFit& fit = fits[i];
-    sums.cross.setZero(fit.anchor.size(), size);
-    sums.own.setZero(size, size);
-    sums.descent.setZero(size);
-    if (unknowns.body_tags > 0) {
-      add_rows<kSharedTerms>(fit, unknowns, sums);
-    } else {
-      add_rows<kMotionTerms>(fit, unknowns, sums);
-    }
-    if (fit.problem.position.surveyed) sums.cross.topRows<3>().setZero();
-    const NormalEquations alone = linearize(fit);
-    AnchorPart& part = out.anchors.emplace_back();
-    part.information.compute(alone.information);
-    part.descent = -alone.gradient;
-    // With L L^T the anchor's information, elimination subtracts (L^-1 cross)^T (L^-1 cross) from the shared
-    // information.
-    const Eigen::MatrixXd half = part.information.matrixL().solve(sums.cross);
-    part.gain = part.information.matrixU().solve(half);
-    sums.own.selfadjointView<Eigen::Lower>().rankUpdate(half.transpose(), -1.0);
-    sums.descent.noalias() -= part.gain.transpose() * part.descent;
-    // The anchor's own solution does not depend on the inflation: all its equations are scaled alike.
-    const double share_of_one = 1.0 / inflation[i];
-    out.information += share_of_one * sums.own;
-    out.descent += share_of_one * sums.descent;
+SharedPrior likeliest_prior(const SharedEquations& equations, const SharedUnknowns& unknowns,
+                            const std::function<SharedEquations()>& slow) {
+  Belief nothing;
+  if (model::is_ablated(model::Mechanism::kCalibrationDelay)) nothing.prior.delay_sigma_s = kNoDelaySigma_s;
+  nothing.evidence = evidence(equations, unknowns, nothing.prior);
+  // First the one with more evidence under `slow`, then the other.
+  Belief drift = select_drift(equations, unknowns, nothing);
+  Belief body = select_body(equations, unknowns, nothing, kMinBodyEvidence);
+  if (!(drift.prior.drift.sigma_m > 0.0) && !body.prior.body) return nothing.prior;
+
+  const SharedEquations lasting = slow();
+  const auto gain = [&](const Belief& more, const Belief& less) {
+    return evidence(lasting, unknowns, more.prior) - evidence(lasting, unknowns, less.prior);
+  };
+  const double by_drift = gain(drift, nothing);
+  const double by_body = gain(body, nothing);
+  if (by_drift >= kMinLastingDrift && by_drift >= by_body) {
+    body = select_body(equations, unknowns, drift, kMinMoreBodyEvidence);
+    return gain(body, drift) < kMinLastingBody ? drift.prior : body.prior;
   }
-  out.information.triangularView<Eigen::StrictlyUpper>() = out.information.transpose();
-  return out;
+  if (by_body < kMinLastingBody) return nothing.prior;
+  drift = select_drift(equations, unknowns, body);
+  return gain(drift, body) < kMinLastingDrift ? body.prior : drift.prior;
+}
+
+SharedPrior likeliest_drift(const SharedEquations& equations, const SharedUnknowns& unknowns,
+                            const SharedPrior& rough) {
+  const SharedPrior first_order = refine_drift(equations, unknowns, rough);
+  if (model::is_ablated(model::Mechanism::kCalibrationSmoothDrift)) return first_order;
+  // A smooth or oscillating drift, if that gains enough evidence.
+  Belief best{.prior = first_order, .evidence = evidence(equations, unknowns, first_order)};
+  const auto least_gain = [](double damping_ratio) {
+    return kMinSmoothEvidence + (damping_ratio < 1.0 ? kMinOscillationEvidence : 0.0);
+  };
+  for (const double factor : kSmoothFactors) {
+    for (const double damping_ratio : kDampingRatios) {
+      for (const double time_s : kSmoothTimes_s) {
+        SharedPrior prior = first_order;
+        prior.drift.sigma_m *= factor;
+        prior.drift.correlation_s = time_s;
+        prior.drift.damping_ratio = damping_ratio;
+        keep_likelier(equations, unknowns, prior, least_gain(damping_ratio), best);
+      }
+    }
+  }
+  if (!best.prior.drift.damping_ratio) return first_order;
+  for (const double factor : kYawFactors) {
+    SharedPrior prior = best.prior;
+    prior.drift.sigma_yaw_rad *= factor;
+    keep_likelier(equations, unknowns, prior, least_gain(*prior.drift.damping_ratio), best);
+  }
+  return best.prior;
 }
 
 }  // namespace groma::calibration

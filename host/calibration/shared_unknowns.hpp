@@ -1,19 +1,18 @@
 // Unknowns of a drive that all anchors share: pose drift, range delay, and each tag's lever-arm error and
-// antenna pattern.
+// antenna pattern. Their prior, and which of them the ranges show.
 #pragma once
 
 #include <cstddef>
+#include <functional>
 #include <optional>
 #include <span>
 #include <vector>
 
-#include <Eigen/Cholesky>
 #include <Eigen/Core>
 
+#include "host/calibration/anchor_solver.hpp"
 #include "host/calibration/association.hpp"
-#include "host/calibration/site_solver.hpp"
 #include "host/model/antenna_pattern.hpp"
-#include "host/model/range_model.hpp"
 
 namespace groma::calibration {
 
@@ -22,7 +21,7 @@ namespace groma::calibration {
 struct DriftPrior {
   double sigma_m = 0.0;
   double sigma_yaw_rad = 0.0;
-  double correlation_s = 20.0;  // by hand: where the search starts (kFirstDrift in drive_error.cpp)
+  double correlation_s = 20.0;  // by hand: where the search starts (kFirstDrift)
   // None: first order (Gauss-Markov), rough. Else second order, smooth: white noise through an oscillator
   // with natural frequency 1/correlation_s and this damping ratio, in (0, 1]; far below one if the robot
   // passes the same places repeatedly.
@@ -45,29 +44,22 @@ inline constexpr double kPatternSigma_m = 0.015;
 // Knots of the pose drift, which is linear between them.
 struct Knots {
   double begin_s = 0.0;
-  double spacing_s = 8.0;  // set by place_knots()
+  double spacing_s = 8.0;
   Eigen::Index count = 2;
 };
 
-// Largest spacing of the knots, unless the drive would need more than max_count.
-struct KnotGrid {
-  double spacing_s;
-  double max_count;
+// Typical standard deviations that the poses of a drive report: their median.
+struct PoseQuality {
+  double sigma_m = 0.0;
+  double sigma_yaw_rad = 0.0;
 };
-// None if no time passes between the observations.
-[[nodiscard]] std::optional<Knots> place_knots(std::span<const AnchorFit> fits, const KnotGrid& grid);
-
-struct KnotShare {
-  Eigen::Index first = 0;  // index of the knot's first unknown
-  double fraction = 0.0;   // towards the next knot
-};
-[[nodiscard]] KnotShare knot_share(const Knots& knots, double t_s) noexcept;
 
 // Order of the unknowns: x, y, yaw of each knot, the delay, the body terms of each of body_tags tags.
 struct SharedUnknowns {
   Knots knots;
-  // Factor of the drift's prior at each knot (x, y, yaw), if poses report a covariance; else empty, and all
-  // knots are alike.
+  // If poses report a covariance: the typical one, and the factor of the drift's prior at each knot (x, y,
+  // yaw). Else none, and all knots are alike.
+  std::optional<PoseQuality> typical = {};
   std::vector<Eigen::Matrix3d> knot_scale;
   std::size_t body_tags = 0;
 
@@ -78,11 +70,15 @@ struct SharedUnknowns {
   [[nodiscard]] Eigen::Index size() const noexcept { return body(body_tags); }
 };
 
-// Typical standard deviations that the poses of a drive report: their median.
-struct PoseQuality {
-  double sigma_m = 0.0;
-  double sigma_yaw_rad = 0.0;
+// Largest spacing of the knots, unless the drive would need more than max_count.
+struct KnotGrid {
+  double spacing_s;
+  double max_count;
 };
+// None if no time passes between the observations.
+[[nodiscard]] std::optional<SharedUnknowns> lay_out(std::span<const AnchorFit> fits,
+                                                    std::span<const PoseSpread> spreads, const KnotGrid& grid,
+                                                    std::size_t body_tags);
 // None if no pose reports a covariance.
 [[nodiscard]] std::optional<PoseQuality> typical_quality(std::span<const PoseSpread> spreads);
 // L D^-1 of each knot, with L L^T the mean covariance of the poses nearest to it and D the typical sigmas;
@@ -94,24 +90,15 @@ struct PoseQuality {
 // variance, and what linear interpolation between knots misses.
 [[nodiscard]] double white_share(const DriftPrior& drift, const PoseQuality& typical, double spacing_s);
 
-// Derivative of one predicted range by the shared unknowns that it depends on: the knots before and after it
-// (6), the delay, the body terms of its tag.
-inline constexpr Eigen::Index kMotionTerms = 7;
-inline constexpr Eigen::Index kSharedTerms = kMotionTerms + kBodyTerms;
-using SharedRow = Eigen::Matrix<double, kSharedTerms, 1>;
-// `fraction` is that of the observation's KnotShare.
-[[nodiscard]] SharedRow shared_jacobian(const Observation& row, const model::AntennaPrediction& predicted,
-                                        double fraction) noexcept;
-
-// Corrects an observation by a step of the unknowns: moves the antenna, subtracts the pattern from the range.
-// `anchor_m` is the anchor's estimated position.
-void move_row(const SharedUnknowns& unknowns, const Eigen::VectorXd& step, const Eigen::Vector3d& anchor_m,
-              Observation& row) noexcept;
+// Prior sigma of the delay: by hand; Calibrate.EstimatesTheRangeDelay finds 0.05 s with it. And that of no
+// delay, 3 um at 30 m/s.
+inline constexpr double kDelaySigma_s = 0.03;
+inline constexpr double kNoDelaySigma_s = 1e-7;
 
 // Prior of the unknowns; those with sigma zero, or `body` false, are fixed at zero.
 struct SharedPrior {
   DriftPrior drift;
-  double delay_sigma_s = 0.03;  // kDelaySigma_s in drive_error.cpp
+  double delay_sigma_s = kDelaySigma_s;
   bool body = false;
 };
 // Information matrix of the prior; a sigma of zero is replaced by a negligible one.
@@ -119,23 +106,20 @@ struct SharedPrior {
 // Log determinant of the information of the unknowns that are not fixed at zero, up to a constant.
 [[nodiscard]] double prior_log_determinant(const SharedUnknowns& unknowns, const SharedPrior& prior);
 
-// One anchor's equations after elimination: its step is information^-1 descent - gain times the shared step.
-struct AnchorPart {
-  Eigen::LLT<Eigen::MatrixXd> information;
-  Eigen::VectorXd descent;
-  Eigen::MatrixXd gain;  // information^-1 times the cross information with the shared unknowns
-};
-
-struct JointEquations {
-  std::vector<AnchorPart> anchors;
-  Eigen::MatrixXd information;  // of the shared unknowns (Schur complement), without their prior
+// Equations of the shared unknowns without their prior, the anchors eliminated.
+struct SharedEquations {
+  Eigen::MatrixXd information;  // Schur complement
   Eigen::VectorXd descent;
 };
 
-// Eliminates the anchors from the joint normal equations. `inflation` of each anchor divides its information:
-// its residuals are correlated.
-[[nodiscard]] JointEquations eliminate_anchors(std::span<const AnchorFit> fits,
-                                               std::span<const double> inflation,
-                                               const SharedUnknowns& unknowns);
+// The prior with drift, body terms, both or neither that the ranges show. `equations` are inflated by
+// correlations of the ranges themselves; `slow` makes those that are inflated also by errors that depend on
+// place, and is called only if the others show something. On coarse knots.
+[[nodiscard]] SharedPrior likeliest_prior(const SharedEquations& equations, const SharedUnknowns& unknowns,
+                                          const std::function<SharedEquations()>& slow);
+// Refines size, correlation time and shape of the prior's drift. Needs fine knots: coarse ones show neither
+// the time nor the shape.
+[[nodiscard]] SharedPrior likeliest_drift(const SharedEquations& equations, const SharedUnknowns& unknowns,
+                                          const SharedPrior& rough);
 
 }  // namespace groma::calibration

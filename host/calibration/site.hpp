@@ -17,7 +17,6 @@ namespace groma::calibration {
 struct Site {
   Association association;
   PollTable polls;
-  double held_out_from_s = 0.0;
   std::vector<AnchorFit> beginning;  // solved without the held-out part
   std::vector<AnchorFit> fits;       // solved from the whole drive
   SiteLos los_states;                // empty if no pair is NLOS for longer than a moment

@@ -217,16 +217,16 @@ AnchorFit search(const AnchorProblem& problem) {
   // All tags count as one until the biases are known.
   std::vector<Observation> of_one_tag;
   for (const Observation* row : sample(problem.rows, kScoredRows)) of_one_tag.emplace_back(*row).tag = 0;
-  const RowColumns columns(of_one_tag, 1);
+  const RowColumns columns = columns_by_tag(of_one_tag, 1).front();
   for (Start& start : starts) {
-    for (Eigen::Index block = 0; block < columns.blocks(0); ++block) {
+    for (Eigen::Index block = 0; block < columns.blocks(); ++block) {
       Lanes square_m2 = Lanes::Zero();
       for (Eigen::Index axis = 0; axis < 3; ++axis) {
-        square_m2 += (columns.at(0, block, RowColumns::kAntenna + axis) - start.position_m(axis)).square();
+        square_m2 += (columns.at(block, RowColumns::kAntenna + axis) - start.position_m(axis)).square();
       }
       const Lanes expected_m = scale * square_m2.sqrt() + offset_m;
-      const Lanes square = ((columns.at(0, block, RowColumns::kRange) - expected_m) / width_m).square();
-      start.score += (square / (1.0 + square)).head(columns.rows_in(0, block)).sum();
+      const Lanes square = ((columns.at(block, RowColumns::kRange) - expected_m) / width_m).square();
+      start.score += (square / (1.0 + square)).head(columns.rows_in(block)).sum();
     }
   }
   std::stable_sort(starts.begin(), starts.end(),

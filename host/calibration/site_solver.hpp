@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstddef>
+#include <limits>
 #include <span>
 #include <vector>
 
@@ -28,7 +29,7 @@ struct SiteProblem {
   const Association* association = nullptr;
   model::RangePriors priors;
   std::span<const model::Anchor> known_anchors;
-  double end_s = 0.0;  // later ranges are left out
+  double end_s = std::numeric_limits<double>::infinity();  // later ranges are left out
 };
 
 // Reduces each anchor with more than `most` ranges to those that together determine it best, by

@@ -1,4 +1,5 @@
-// Verdict and advice for each anchor, and the verdict on the site.
+// Verdict and advice for each anchor from statistics of its ranges at the solution, and the verdict on the
+// site.
 #pragma once
 
 #include <cstddef>
@@ -14,6 +15,9 @@
 #include "host/model/calibration.hpp"
 
 namespace groma::calibration {
+
+struct FittedRange;
+struct Site;
 
 // With fewer ranges an anchor has no data. By hand: some three for each of the nine unknowns with three tags;
 // DegenerateDrive.WithOneRangeEachIsNoData holds with it.
@@ -67,6 +71,16 @@ struct AnchorEvidence {
   std::optional<Eigen::Vector3d> duplicate_m;  // a second place with its id
   std::optional<LosEvidence> los_states;
 };
+
+// Scores the ranges after those of a fit. A residual counts relative to its predicted sigma, which is large
+// at places that the robot had not visited by then.
+[[nodiscard]] HeldOut score_held_out(const AnchorFit& first, std::span<const Observation> later);
+
+// Residual and LOS probability of each range at a solution.
+[[nodiscard]] std::vector<FittedRange> fitted_ranges(const AnchorFit& fit, std::span<const model::Tag> tags);
+
+// Completes the evidence of all anchors; held-out scores and mirror tests have filled in theirs already.
+void gather_anchor_evidence(Site& site, std::span<const std::vector<FittedRange>> fitted);
 
 // Whether all or nearly all of its ranges are NLOS. Such ranges are noisier and fewer than those of other
 // anchors, and their common excess looks like a bias.

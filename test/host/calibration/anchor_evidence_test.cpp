@@ -1,5 +1,3 @@
-#include "host/calibration/anchor_evidence.hpp"
-
 #include <gtest/gtest.h>
 
 #include <cmath>
@@ -9,6 +7,8 @@
 
 #include <Eigen/LU>
 
+#include "host/calibration/calibrate.hpp"
+#include "host/calibration/site.hpp"
 #include "test/support/random.hpp"
 
 namespace groma::calibration {
@@ -79,7 +79,7 @@ TEST(ScoreHeldOut, CountsTheUncertaintyOfTheFit) {
     scale_m += std::sqrt(kScale_m * kScale_m + j.dot(covariance * j)) / 30.0;
   }
   ASSERT_GT(scale_m, 1.5 * kScale_m);
-  const HeldOut found = score_held_out(first, rows, 5.95);
+  const HeldOut found = score_held_out(first, std::span(rows).subspan(60));
   ASSERT_TRUE(found.share_of_scale.has_value());
   EXPECT_NEAR(*found.rms_m, kOff_m, 1e-9);
   // 1.4826: the standard deviation of a Gaussian over its median absolute value.
@@ -93,7 +93,7 @@ TEST(ScoreHeldOut, WithoutLaterRangesTheHeightIsUnknown) {
   first.problem.position.information = Eigen::Matrix3d::Identity();
   first.kernels.resize(1);
   first.anchor = anchor_at(Eigen::Vector3d::Zero(), 1, {});
-  const HeldOut found = score_held_out(first, {}, 0.0);
+  const HeldOut found = score_held_out(first, {});
   EXPECT_FALSE(found.rms_m.has_value());
   EXPECT_EQ(found.height_variance_m2, std::numeric_limits<double>::infinity());
 }

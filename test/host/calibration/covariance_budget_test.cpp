@@ -8,7 +8,6 @@
 
 #include <Eigen/LU>
 
-#include "host/calibration/anchor_evidence.hpp"
 #include "test/support/random.hpp"
 
 namespace groma::calibration {
@@ -107,7 +106,7 @@ TEST_F(CovarianceBudget, AnotherHeightByTheBeginningCountsOnlyWhereItWasKnown) {
   first = site_.fits[0];
   first.problem.rows = std::span(rows_).first(60);
   first.anchor(2) = 3.0;
-  site_.evidence[0].held_out = score_held_out(first, {}, 0.0);
+  site_.evidence[0].held_out = score_held_out(first, {});
   EXPECT_NEAR(budget()(2, 2), before_m2, 1e-12);
   site_.evidence[0].held_out.height_variance_m2 = 0.01;
   EXPECT_NEAR(budget()(2, 2), before_m2 + 1.0, 1e-9);

@@ -1,5 +1,3 @@
-#include "host/calibration/shared_unknowns.hpp"
-
 #include <gtest/gtest.h>
 
 #include <cmath>
@@ -8,6 +6,7 @@
 #include <Eigen/Cholesky>
 #include <Eigen/Geometry>
 
+#include "host/calibration/drive_error.hpp"
 #include "host/model/antenna_pattern.hpp"
 #include "test/support/numerical_jacobian.hpp"
 #include "test/support/random.hpp"
