@@ -28,6 +28,10 @@ constexpr double kMaxScoreBlocks = 4096.0;
 // Excess scatter counts if it is above this many of its own standard deviations: 0.6 % by chance (normal,
 // one-sided) for each block length.
 constexpr double kSignificance = 2.5;
+// Block lengths up to 1 s and up to 8 s: by hand; DriveError.DoesNotTakePlaceDependentErrors... holds with
+// them.
+constexpr std::size_t kBriefLevels = 2;
+constexpr std::size_t kLastingLevels = 5;
 // Lower limit of a kernel's mean curvature, as a share of its majorizer's: it keeps the information positive.
 // By hand; the CalibrationCampaign tests hold with it (NEES 1.0).
 constexpr double kMinCurvatureShare = 0.3;
@@ -575,6 +579,9 @@ Evidence gather_evidence(const AnchorFit& fit) {
     add_pair(pair.weighted, pair.square_slope / pair.weight, tag, tags, out.score_variance);
   }
   out.scatter = scatter_by_block_length(out.information, out.score_variance, scores);
+  const auto dimensions = static_cast<double>(size);
+  out.brief_inflation = significant_ratio(std::span(out.scatter).first<kBriefLevels>(), dimensions);
+  out.lasting_inflation = significant_ratio(std::span(out.scatter).first<kLastingLevels>(), dimensions);
   return out;
 }
 
@@ -599,17 +606,6 @@ void estimate_inflation(std::span<AnchorFit> fits) {
   }
   const double common = significant_ratio(site, dimensions);
   for (AnchorFit& fit : fits) fit.inflation = std::max(fit.inflation, common);
-}
-
-std::vector<double> inflations_within(std::span<const AnchorFit> fits, double duration_s) {
-  std::size_t count = 0;
-  for (double block_s = kScoreBlock_s; block_s <= duration_s && count < kBlockLevels; block_s *= 2.0) ++count;
-  std::vector<double> out;
-  for (const AnchorFit& fit : fits) {
-    out.push_back(significant_ratio(std::span(fit.evidence.scatter).first(count),
-                                    static_cast<double>(fit.evidence.information.rows())));
-  }
-  return out;
 }
 
 std::optional<Eigen::Matrix3d> jackknife_covariance(const AnchorFit& fit) {

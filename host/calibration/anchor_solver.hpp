@@ -104,7 +104,11 @@ struct Evidence {
   Eigen::MatrixXd prior_information;
   Eigen::MatrixXd score_variance;             // of the score, if residuals were independent
   std::array<Scatter, kBlockLevels> scatter;  // by block length
-  bool surveyed = false;                      // the position was held fixed
+  // Inflation of this anchor alone: brief, over blocks of up to 1 s, by correlation in the ranges themselves,
+  // as when they are filtered or repeated; lasting, of up to 8 s, also by errors that depend on place.
+  double brief_inflation = 1.0;
+  double lasting_inflation = 1.0;
+  bool surveyed = false;  // the position was held fixed
 };
 
 // One anchor's solution with its problem and kernels.
@@ -213,9 +217,6 @@ void gather_evidence(std::span<AnchorFit> fits);
 // residuals, 1 for white residuals, else about the number of ranges that together carry one range's
 // information. It is the site's mean, or the anchor's own where that is clearly larger.
 void estimate_inflation(std::span<AnchorFit> fits);
-
-// The same of each anchor alone, over blocks of at most `duration_s`.
-[[nodiscard]] std::vector<double> inflations_within(std::span<const AnchorFit> fits, double duration_s);
 
 // Delete-a-fifth jackknife covariance of the position, m^2: how the position depends on the part of the drive
 // that is left out. Unlike scores it shows correlations as long as that and a cost that is not quadratic.

@@ -62,8 +62,8 @@ bool poses_show_moves(const Association& association) {
 }
 
 bool has_moves(const Site& site) {
-  return std::any_of(site.paths.begin(), site.paths.end(),
-                     [](const AnchorPath& path) { return !path.moved_at_s.empty(); });
+  return std::any_of(site.evidence.begin(), site.evidence.end(),
+                     [](const AnchorEvidence& evidence) { return evidence.path.has_moved(); });
 }
 
 // Solves the anchors one by one, with uncorrected poses.
@@ -78,11 +78,10 @@ Site solve_anchors(const Drive& drive, const Options& options, HeightSource heig
   site.beginning = solve_site(problem, {});  // search and solve without the held-out part
   problem.end_s = std::numeric_limits<double>::infinity();
   site.fits = solve_site(problem, site.beginning);  // robust least squares on eq. (12), per anchor
-  site.paths.resize(site.fits.size());
+  site.evidence.resize(site.fits.size());
   if (is_within_reach(site.fits)) {
     find_nlos(site.polls, site.fits, site.los_states);
-    if (find_moves && poses_show_moves(site.association))
-      site.paths = find_moved(site.polls, site.los_states, site.fits);
+    if (find_moves && poses_show_moves(site.association)) find_moved(site);
   }
   test_mirrors(site, options.earlier);
   return site;
@@ -117,7 +116,7 @@ Site solve_drive(const Drive& drive, const Options& options, bool find_moves) {
 
 // Classifies each range as LOS or NLOS again, now that lever arms and antenna patterns are corrected.
 void find_nlos_again(Site& site, const model::Calibration* earlier) {
-  if (is_within_reach(site.fits) && !has_moves(site) &&
+  if (!has_moves(site) && is_within_reach(site.fits) &&
       !model::is_ablated(model::Mechanism::kCalibrationAgain)) {
     find_nlos(site.polls, site.fits, site.los_states);
     test_mirrors(site, earlier);

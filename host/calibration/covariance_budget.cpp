@@ -148,7 +148,7 @@ bool is_mirrored(const AnchorFit& first, const AnchorFit& whole, const TagSpread
 void add_height_of_beginning(Anchor& anchor) {
   if (model::is_ablated(model::Mechanism::kCalibrationShift)) return;
   const AnchorFit& first = anchor.site.beginning[anchor.index];
-  if (anchor.site.has_los_states() || anchor.known.moved || anchor.surveyed() ||
+  if (anchor.site.has_los_states() || anchor.known.path.has_moved() || anchor.surveyed() ||
       2 * first.problem.rows.size() <= anchor.fit.problem.rows.size() ||
       is_mirrored(first, anchor.fit, anchor.known.spread)) {
     return;

@@ -22,11 +22,6 @@ constexpr KnotGrid kNoKnots{.spacing_s = 1e9, .max_count = 2.0};  // two: the fe
 constexpr int kDriveRounds = 4;                                   // bounds on time, by hand
 constexpr int kFollowingSteps = 3;
 constexpr double kLastStepSigmas = 0.1;  // 0.01 in chi square
-// Correlation within kMoment_s comes from the ranges themselves, as when they are filtered or repeated;
-// within kWhile_s, also from errors that depend on place. By hand;
-// DriveError.DoesNotTakePlaceDependentErrors... holds with them.
-constexpr double kMoment_s = 1.0;
-constexpr double kWhile_s = 8.0;
 // 4 sigmas: 6e-5 by chance (normal, two-sided).
 constexpr double kMinDelaySigmas = 4.0;
 // Frame error common to all poses, which no range observes: no localization knows its map better. By
@@ -48,30 +43,36 @@ class Moments {
  public:
   static constexpr Eigen::Index kPair = model::kPairSize;
   static constexpr Eigen::Index kSize = kPair + kSharedTerms;
-  // Shared terms of the two knots.
-  static constexpr Eigen::Index kKnots = 6;
-  static constexpr Eigen::Index kRest = kPair + kKnots;
+  // The shared terms from here on are not of the two knots.
+  static constexpr Eigen::Index kRest = kPair + 6;
   using Row = Eigen::Array<double, 1, kSize>;
-  // Index of each term: those by the pair among the anchor's unknowns, the others among the shared ones.
-  using Places = Eigen::Array<Eigen::Index, kSize, 1>;
 
-  explicit Moments(bool has_body) : size_(has_body ? kSize : kSize - kBodyTerms) {}
+  Moments(const SharedUnknowns& unknowns, std::size_t tag, std::size_t tags)
+      : size_(unknowns.body_tags > 0 ? kSize : kSize - kBodyTerms) {
+    const PairIndex pair = pair_index(tag, tags);
+    std::copy(pair.begin(), pair.end(), places_.data());
+    places_(kRest) = unknowns.delay();
+    for (Eigen::Index k = kRest + 1; k < size_; ++k) places_(k) = unknowns.body(tag) + k - kRest - 1;
+  }
 
-  [[nodiscard]] Eigen::Index size() const noexcept { return size_; }
   void add(const Row& j, double slope, double weight) noexcept {
     rows_.row(waiting_) = j;
     weight_(waiting_) = weight;
     slope_(waiting_) = slope;
     if (++waiting_ == kLanes) sum_up();
   }
-  // Adds the sums of the terms [begin, end) to `sums` at their indices, and clears them.
-  void move_to(const Places& places, Eigen::Index begin, Eigen::Index end, AnchorSums& sums) noexcept {
-    sum_up();
-    for (Eigen::Index from = begin; from < end; ++from) {
-      const Eigen::Index to = places(from);
-      for (Eigen::Index row = 0; row < kPair; ++row) take(sums.cross(places(row), to), square_(from, row));
-      for (Eigen::Index row = from; row < size_; ++row) take(sums.own(places(row), to), square_(row, from));
-      take(sums.descent(to), descent_(from - kPair));
+  // Adds the sums of the two knots' terms, the first of which has the index `first`, to `sums` and clears
+  // them.
+  void move_knots_to(Eigen::Index first, AnchorSums& sums) noexcept {
+    for (Eigen::Index k = kPair; k < kRest; ++k) places_(k) = first + k - kPair;
+    move_to(kPair, kRest, sums);
+  }
+  void move_rest_to(AnchorSums& sums) noexcept { move_to(kRest, size_, sums); }
+  // Adds weight times the derivatives by the shared terms to the cross information of one unknown.
+  void add_cross(const Row& j, double weight, Eigen::Index first, Eigen::Index unknown,
+                 AnchorSums& sums) const noexcept {
+    for (Eigen::Index k = kPair; k < size_; ++k) {
+      sums.cross(unknown, k < kRest ? first + k - kPair : places_(k)) += weight * j(k);
     }
   }
 
@@ -80,13 +81,20 @@ class Moments {
     to += from;
     from = 0.0;
   }
+  void move_to(Eigen::Index begin, Eigen::Index end, AnchorSums& sums) noexcept {
+    sum_up();
+    for (Eigen::Index from = begin; from < end; ++from) {
+      const Eigen::Index to = places_(from);
+      for (Eigen::Index row = 0; row < kPair; ++row) take(sums.cross(places_(row), to), square_(from, row));
+      for (Eigen::Index row = from; row < size_; ++row) take(sums.own(places_(row), to), square_(row, from));
+      take(sums.descent(to), descent_(from - kPair));
+    }
+  }
   void sum_up() noexcept {
     if (waiting_ == 0) return;
     // Lanes left over from earlier observations get no weight.
-    for (Eigen::Index lane = waiting_; lane < kLanes; ++lane) {
-      weight_(lane) = 0.0;
-      slope_(lane) = 0.0;
-    }
+    weight_.tail(kLanes - waiting_).setZero();
+    slope_.tail(kLanes - waiting_).setZero();
     waiting_ = 0;
     for (Eigen::Index column = 0; column < size_; ++column) {
       const Lanes weighted = weight_ * rows_.col(column);
@@ -98,6 +106,8 @@ class Moments {
   }
 
   Eigen::Index size_;
+  // Index of each term: those by the pair among the anchor's unknowns, the others among the shared ones.
+  Eigen::Array<Eigen::Index, kSize, 1> places_;
   Eigen::Matrix<double, kSize, kSize> square_ =
       Eigen::Matrix<double, kSize, kSize>::Zero();  // lower triangle
   SharedRow descent_ = SharedRow::Zero();
@@ -108,57 +118,39 @@ class Moments {
 };
 
 void add_rows(const AnchorFit& fit, const SharedUnknowns& unknowns, AnchorSums& sums) {
-  constexpr Eigen::Index kPair = Moments::kPair;
-  constexpr Eigen::Index kKnots = Moments::kKnots;
   const std::size_t tags = fit.problem.tag_count;
-  struct Tag {
-    Moments moments;
-    Moments::Places places;
-  };
-  std::vector<Tag> of_tag(tags, {.moments = Moments(unknowns.body_tags > 0), .places = {}});
-  const Eigen::Index size = of_tag.front().moments.size();
-  for (std::size_t tag = 0; tag < tags; ++tag) {
-    Moments::Places& places = of_tag[tag].places;
-    const PairIndex pair = pair_index(tag, tags);
-    std::copy(pair.begin(), pair.end(), places.data());
-    places(Moments::kRest) = unknowns.delay();
-    for (Eigen::Index k = 0; Moments::kRest + 1 + k < size; ++k) {
-      places(Moments::kRest + 1 + k) = unknowns.body(tag) + k;
-    }
-  }
+  std::vector<Moments> moments;
+  for (std::size_t tag = 0; tag < tags; ++tag) moments.emplace_back(unknowns, tag, tags);
   Eigen::Index first = 0;
-  // The next observations are between other knots.
-  const auto leave_knots = [&] {
-    for (auto& [moments, places] : of_tag) {
-      for (Eigen::Index k = 0; k < kKnots; ++k) places(kPair + k) = first + k;
-      moments.move_to(places, kPair, Moments::kRest, sums);
-    }
-  };
   for (const Observation& row : fit.problem.rows) {
     const RowAt at = row_at(fit, row);
     const RowValue& value = at.value;
     const KnotShare share = knot_share(unknowns.knots, row.t_s);
-    if (share.first != first) leave_knots();
-    first = share.first;
+    if (share.first != first) {
+      for (Moments& of_tag : moments) of_tag.move_knots_to(first, sums);
+      first = share.first;
+    }
     Moments::Row j;
     j << at.j.array().transpose(), shared_jacobian(row, at.predicted, share.fraction).array().transpose();
     // Long NLOS ranges count too: they tie the anchor to the poses, so that a common shift of both changes no
     // residual.
-    of_tag[row.tag].moments.add(j, value.seen.slope + value.nlos_slope,
-                                value.seen.weight + value.nlos_weight);
+    Moments& of_tag = moments[row.tag];
+    of_tag.add(j, value.seen.slope + value.nlos_slope, value.seen.weight + value.nlos_weight);
     if (value.nlos_weight == 0.0) continue;
-    const RangeLos& los_states = fit.problem.los_states->rows[row.index];
-    const auto add_long_nlos = [&](Eigen::Index to) {
-      for (Eigen::Index k = kPair; k < size; ++k) {
-        const Eigen::Index column = k < Moments::kRest ? first + k - kPair : of_tag[row.tag].places(k);
-        sums.cross(to, column) += value.nlos_weight * j(k);
-      }
-    };
-    add_long_nlos(excess_index(tags));
-    if (los_states.episode != kNoEpisode) add_long_nlos(episode_index(los_states.episode, tags));
+    const std::int32_t episode = fit.problem.los_states->rows[row.index].episode;
+    of_tag.add_cross(j, value.nlos_weight, first, excess_index(tags), sums);
+    if (episode != kNoEpisode) {
+      of_tag.add_cross(j, value.nlos_weight, first, episode_index(episode, tags), sums);
+    }
   }
-  leave_knots();
-  for (auto& [moments, places] : of_tag) moments.move_to(places, Moments::kRest, size, sums);
+  for (Moments& of_tag : moments) of_tag.move_knots_to(first, sums);
+  for (Moments& of_tag : moments) of_tag.move_rest_to(sums);
+}
+
+std::vector<double> inflations(std::span<const AnchorFit> fits, double Evidence::*kind) {
+  std::vector<double> out;
+  for (const AnchorFit& fit : fits) out.push_back(fit.evidence.*kind);
+  return out;
 }
 
 bool nothing_to_correct(const JointEquations& equations, const SharedUnknowns& unknowns,
@@ -315,7 +307,7 @@ void settle(Association& association, std::vector<AnchorFit>& fits, bool is_dela
     refine_site(fits, 1);
     // Residuals that the estimate explains are white now; the remaining correlation depends on place.
     gather_evidence(fits);
-    inflation = inflations_within(fits, kWhile_s);
+    inflation = inflations(fits, &Evidence::lasting_inflation);
     if (step.dot((equations.information + believed) * step) < kLastStepSigmas * kLastStepSigmas) break;
   }
   if (prior.delay_sigma_s > kNoDelaySigma_s) {
@@ -400,7 +392,7 @@ JointEquations eliminate_anchors(std::span<const AnchorFit> fits, std::span<cons
     sums.cross.setZero(fit.anchor.size(), size);
     sums.own.setZero(size, size);
     sums.descent.setZero(size);
-    if (!fit.problem.rows.empty()) add_rows(fit, unknowns, sums);
+    add_rows(fit, unknowns, sums);
     if (fit.problem.position.surveyed) sums.cross.topRows<3>().setZero();
     const NormalEquations alone = linearize(fit);
     AnchorPart& part = out.anchors.emplace_back();
@@ -429,15 +421,15 @@ DriveError correct_drive(Association& association, std::vector<AnchorFit>& fits)
   };
   const std::optional<SharedUnknowns> coarse = arrange(kCoarseKnots, association.tags.size());
   if (!coarse) return out;
-  const std::vector<double> inflation = inflations_within(fits, kMoment_s);
+  const std::vector<double> inflation = inflations(fits, &Evidence::brief_inflation);
   const JointEquations equations = eliminate_anchors(fits, inflation, *coarse);
   SharedPrior prior = likeliest_prior(equations, *coarse, [&] {
-    return eliminate_anchors(fits, inflations_within(fits, kWhile_s), *coarse);
+    return eliminate_anchors(fits, inflations(fits, &Evidence::lasting_inflation), *coarse);
   });
   if (nothing_to_correct(equations, *coarse, prior)) {
-    // With the inflation of kWhile_s the ranges carry this much less information about what is constant over
+    // With the lasting inflation the ranges carry this much less information about what is constant over
     // the drive.
-    const std::vector<double> lasting = inflations_within(fits, kWhile_s);
+    const std::vector<double> lasting = inflations(fits, &Evidence::lasting_inflation);
     const double share = std::accumulate(inflation.begin(), inflation.end(), 0.0) /
                          std::accumulate(lasting.begin(), lasting.end(), 0.0);
     const Eigen::Index delay = coarse->delay();
@@ -469,7 +461,8 @@ DriveError correct_drive(Association& association, std::vector<AnchorFit>& fits)
 void correct_further(Association& association, std::vector<AnchorFit>& fits, DriveError& drive_error) {
   begin_correction(fits, drive_error);
   if (drive_error.shared_gain.empty()) return;
-  settle(association, fits, /*is_delay_open=*/false, inflations_within(fits, kWhile_s), drive_error);
+  settle(association, fits, /*is_delay_open=*/false, inflations(fits, &Evidence::lasting_inflation),
+         drive_error);
 }
 
 }  // namespace groma::calibration

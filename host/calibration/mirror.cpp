@@ -55,13 +55,13 @@ struct BothSides {
   AnchorSolution there;  // the best solution on its other side
 };
 
-// Starts on the other side, and in another basin on either side: the mirror point and, across the plane, also
-// points well above and below it. Between two basins the cost is flat and a solver stops.
+// The anchor, and starts on the other side and in another basin on either side: the mirror point and, across
+// the plane, also points well above and below it. Between two basins the cost is flat and a solver stops.
 std::vector<AnchorVector> starts_around(const AnchorProblem& problem, const AnchorVector& anchor,
                                         const TagSpread& spread, int axis) {
   const Eigen::Vector3d normal = spread.axes.col(axis);
   const double height_m = height_above(spread, axis, anchor);
-  std::vector<AnchorVector> out(1, anchor);
+  std::vector<AnchorVector> out(2, anchor);
   out.back().head<3>() = spread.mirror(anchor.head<3>(), axis);
   if (axis != kAcrossPlane || model::is_ablated(model::Mechanism::kCalibrationProbes)) return out;
   double nearest_m = std::numeric_limits<double>::infinity();
@@ -75,8 +75,8 @@ std::vector<AnchorVector> starts_around(const AnchorProblem& problem, const Anch
   return out;
 }
 
-void drop_doubles(const AnchorVector& anchor, std::vector<AnchorVector>& starts) {
-  std::vector<Eigen::Vector3d> tried_m{anchor.head<3>()};
+void drop_doubles(std::vector<AnchorVector>& starts) {
+  std::vector<Eigen::Vector3d> tried_m;
   std::erase_if(starts, [&](const AnchorVector& start) {
     const Eigen::Vector3d place_m = start.head<3>();
     const bool tried = std::any_of(tried_m.begin(), tried_m.end(), [&](const Eigen::Vector3d& other_m) {
@@ -88,10 +88,8 @@ void drop_doubles(const AnchorVector& anchor, std::vector<AnchorVector>& starts)
 }
 
 BothSides solve_both_sides(const AnchorProblem& problem, std::span<const RobustKernel> kernels,
-                           const AnchorVector& anchor, std::span<const AnchorVector> starts,
-                           const TagSpread& spread, int axis) {
+                           std::span<const AnchorVector> starts, const TagSpread& spread, int axis) {
   std::vector<AnchorSolution> found;
-  found.push_back(solve_anchor(problem, kernels, anchor, kIterations));
   for (const AnchorVector& start : starts)
     found.push_back(solve_anchor(problem, kernels, start, kIterations));
   const auto cheaper = [](const AnchorSolution& a, const AnchorSolution& b) { return a.cost < b.cost; };
@@ -163,16 +161,16 @@ MirrorHypothesis test_mirror(AnchorFit& fit, const TagSpread& spread, int axis) 
   AnchorProblem sketch = fit.problem;
   const std::vector<Observation> few = spread_along_the_way(sketch.rows, sketch.tag_count, kRowsPerTag);
   sketch.rows = few;
-  BothSides result = solve_both_sides(sketch, fit.kernels, fit.anchor,
-                                      starts_around(sketch, fit.anchor, spread, axis), spread, axis);
+  BothSides result =
+      solve_both_sides(sketch, fit.kernels, starts_around(sketch, fit.anchor, spread, axis), spread, axis);
   double scale = static_cast<double>(fit.problem.rows.size()) / static_cast<double>(few.size());
   const bool moved = (result.here.anchor - fit.anchor).head<3>().norm() > kRefitMove_m;
   if (moved || (result.there.cost - result.here.cost) * scale < kCloseExcess) {
-    std::vector<AnchorVector> starts{result.here.anchor, result.there.anchor, fit.anchor};
+    std::vector<AnchorVector> starts{fit.anchor, result.here.anchor, result.there.anchor, fit.anchor};
     // The few ranges may have a single basin between the two that all ranges have.
     starts.back().head<3>() = spread.mirror(fit.anchor.head<3>(), axis);
-    drop_doubles(fit.anchor, starts);
-    result = solve_both_sides(fit.problem, fit.kernels, fit.anchor, starts, spread, axis);
+    drop_doubles(starts);
+    result = solve_both_sides(fit.problem, fit.kernels, starts, spread, axis);
     sketch.rows = fit.problem.rows;
     scale = 1.0;
     fit.anchor = result.here.anchor;
@@ -208,7 +206,6 @@ void weigh_by_earlier(const EarlierPlace& earlier, AnchorFit& fit, MirrorHypothe
 }
 
 void test_mirrors(Site& site, const model::Calibration* earlier) {
-  site.evidence.resize(site.fits.size());
   for (std::size_t i = 0; i < site.fits.size(); ++i) {
     AnchorFit& fit = site.fits[i];
     AnchorEvidence& evidence = site.evidence[i];
@@ -217,7 +214,7 @@ void test_mirrors(Site& site, const model::Calibration* earlier) {
     if (fit.problem.position.surveyed) continue;
     // The ranges of an anchor that moved during the drive are not from its earlier place.
     std::optional<EarlierPlace> place;
-    if (earlier != nullptr && site.paths[i].moved_at_s.empty()) {
+    if (earlier != nullptr && !evidence.path.has_moved()) {
       place = earlier_place(*earlier, site.association.anchors[i].id);
     }
     for (const auto& [axis, mirror] :

@@ -11,6 +11,7 @@
 #include <Eigen/Cholesky>
 
 #include "host/calibration/mirror.hpp"
+#include "host/calibration/site.hpp"
 
 namespace groma::calibration {
 namespace {
@@ -514,9 +515,10 @@ Shift shift_between(const AnchorVector& earlier, const Eigen::MatrixXd& earlier_
   return shift;
 }
 
-std::vector<AnchorPath> find_moved(const PollTable& table, SiteLos& los_states,
-                                   std::vector<AnchorFit>& fits) {
-  std::vector<AnchorPath> out(fits.size());
+void find_moved(Site& site) {
+  const PollTable& table = site.polls;
+  SiteLos& los_states = site.los_states;
+  std::vector<AnchorFit>& fits = site.fits;
   std::vector<Suspicion> suspicions(fits.size());
   for (std::size_t a = 0; a < fits.size(); ++a) {
     if (fits[a].problem.rows.empty() || fits[a].problem.position.surveyed) continue;
@@ -530,30 +532,31 @@ std::vector<AnchorPath> find_moved(const PollTable& table, SiteLos& los_states,
       std::erase_if(examined, [&](const Observation& row) { return !seen[row.index - rows.front().index]; });
     }
     suspicions[a] = suspect(fits[a], examined);
-    out[a].duplicate_m = suspicions[a].duplicate_m;
+    site.evidence[a].path.duplicate_m = suspicions[a].duplicate_m;
   }
   // Drops a change that is no move; what it separated is solved as one.
   Pieces pieces;
   for (bool all_are_moves = false; !all_are_moves;) {
     all_are_moves = true;
     pieces = solve_pieces(suspicions, table, los_states, fits);
-    for (std::size_t a = 0; a < fits.size(); ++a) {
-      out[a].moved_at_s.clear();
-      out[a].places_m.clear();
+    for (AnchorEvidence& evidence : site.evidence) {
+      evidence.path.moved_at_s.clear();
+      evidence.path.places_m.clear();
     }
     for (std::size_t i = 0; i < pieces.fits.size(); ++i) {
       const std::size_t a = pieces.anchors[i];
+      AnchorPath& path = site.evidence[a].path;
       if (pieces.has_next(i)) {
         const Observation& change = pieces.fits[i + 1].problem.rows.front();
         if (const std::optional<Shift> shift = move_to_next(pieces, i)) {
-          out[a].moved_at_s.push_back(change.t_s);
-          out[a].last_move_m = shift->by_m;
+          path.moved_at_s.push_back(change.t_s);
+          path.last_move_m = shift->by_m;
         } else {
           std::erase(suspicions[a].changes, change.index - fits[a].problem.rows.front().index);
           all_are_moves = false;
         }
       }
-      out[a].places_m.push_back(pieces.fits[i].anchor.head<3>());
+      path.places_m.push_back(pieces.fits[i].anchor.head<3>());
     }
   }
   for (std::size_t i = 0; i < pieces.fits.size(); ++i) {
@@ -565,7 +568,6 @@ std::vector<AnchorPath> find_moved(const PollTable& table, SiteLos& los_states,
     los_states.poll_shares[a] = pieces.los_states.poll_shares[i];
     fits[a].problem.los_states = &los_states.anchors[a];
   }
-  return out;
 }
 
 }  // namespace groma::calibration

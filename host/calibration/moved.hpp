@@ -15,6 +15,8 @@
 
 namespace groma::calibration {
 
+struct Site;
+
 // How much each stretch of the drive gains from a position of its own, from the normal equations of a Huber
 // cost at one solution: made in one pass over the observations, for all stretches.
 class StretchGains {
@@ -55,13 +57,14 @@ struct AnchorPath {
   std::vector<double> moved_at_s;  // ascending; empty: it did not move
   Eigen::Vector3d last_move_m = Eigen::Vector3d::Zero();
   std::vector<Eigen::Vector3d> places_m;  // before the first move, after it, ...; empty without moves
-  std::optional<Eigen::Vector3d>
-      duplicate_m;  // second place, not separated from the first in time: duplicate id
+  // Second place, not separated from the first in time: duplicate id.
+  std::optional<Eigen::Vector3d> duplicate_m;
+
+  [[nodiscard]] bool has_moved() const noexcept { return !moved_at_s.empty(); }
 };
 
-// Returns each anchor's path. The fit of an anchor that moved becomes that of the observations after its last
-// move, and so do its NLOS states, if the site has any.
-[[nodiscard]] std::vector<AnchorPath> find_moved(const PollTable& table, SiteLos& los_states,
-                                                 std::vector<AnchorFit>& fits);
+// Fills in each anchor's path. The fit of an anchor that moved becomes that of the observations after its
+// last move, and so do its NLOS states, if the site has any.
+void find_moved(Site& site);
 
 }  // namespace groma::calibration

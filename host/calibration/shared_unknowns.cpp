@@ -42,7 +42,7 @@ constexpr double kMinBodyEvidence = 10.0;
 constexpr double kMinMoreBodyEvidence = 8.0;
 constexpr double kMinSmoothEvidence = 1.0;
 constexpr double kMinOscillationEvidence = 4.0;
-// Least gain that has to remain with the inflation of kWhile_s (drive_error.cpp): errors that depend on place
+// Least gain that has to remain with the lasting inflation: errors that depend on place
 // in each anchor's own ranges can look like shared ones. By hand;
 // DriveError.DoesNotTakePlaceDependentErrors... holds with it: neither is accepted in any of six drives with
 // place-dependent errors of 0.08 m.

@@ -7,7 +7,6 @@
 #include "host/calibration/drive_error.hpp"
 #include "host/calibration/los_chain.hpp"
 #include "host/calibration/los_solver.hpp"
-#include "host/calibration/moved.hpp"
 #include "host/calibration/site_solver.hpp"
 #include "host/calibration/verdict.hpp"
 
@@ -20,7 +19,6 @@ struct Site {
   std::vector<AnchorFit> beginning;  // solved without the held-out part
   std::vector<AnchorFit> fits;       // solved from the whole drive
   SiteLos los_states;                // empty if no pair is NLOS for longer than a moment
-  std::vector<AnchorPath> paths;
   std::vector<AnchorEvidence> evidence;
   DriveError error;
 

@@ -143,12 +143,12 @@ double flicker_m(std::span<const FittedRange> rows) {
 
 // Another anchor whose place, at any time, this one took by one of its moves.
 std::optional<model::NodeId> find_stand_in(const Site& site, std::size_t anchor) {
-  const std::vector<Eigen::Vector3d>& places_m = site.paths[anchor].places_m;
+  const std::vector<Eigen::Vector3d>& places_m = site.evidence[anchor].path.places_m;
   for (std::size_t k = 1; k < places_m.size(); ++k) {
     if ((places_m[k] - places_m[k - 1]).norm() < kJump_m) continue;
     for (std::size_t other = 0; other < site.fits.size(); ++other) {
       if (other == anchor || site.fits[other].problem.rows.empty()) continue;
-      std::vector<Eigen::Vector3d> others_m = site.paths[other].places_m;
+      std::vector<Eigen::Vector3d> others_m = site.evidence[other].path.places_m;
       others_m.emplace_back(site.fits[other].anchor.head<3>());
       if (std::any_of(others_m.begin(), others_m.end(), [&](const Eigen::Vector3d& other_m) {
             return (other_m - places_m[k]).norm() < kSamePlace_m;
@@ -158,15 +158,6 @@ std::optional<model::NodeId> find_stand_in(const Site& site, std::size_t anchor)
     }
   }
   return std::nullopt;
-}
-
-std::optional<MoveEvidence> move_evidence(const Site& site, std::size_t anchor) {
-  const AnchorPath& path = site.paths[anchor];
-  if (path.moved_at_s.empty()) return std::nullopt;
-  MoveEvidence out{.at_s = path.moved_at_s, .by_m = path.last_move_m};
-  out.is_back = (path.places_m.back() - path.places_m.front()).norm() < kSamePlace_m;
-  out.stand_in = find_stand_in(site, anchor);
-  return out;
 }
 
 // Distances, LOS share and out-of-bounds residuals of one anchor's ranges.
@@ -200,9 +191,9 @@ struct Opinion {
   bool says_where = false;  // to drive: drive_advice() is in it
 };
 
-std::string times_of(const MoveEvidence& moved) {
+std::string times_of(const AnchorPath& path) {
   std::string out;
-  for (const double t_s : moved.at_s) {
+  for (const double t_s : path.moved_at_s) {
     char text[32];
     std::snprintf(text, sizeof text, "%s%.0f", out.empty() ? "t_s = " : " and ", t_s);
     out += text;
@@ -211,24 +202,26 @@ std::string times_of(const MoveEvidence& moved) {
 }
 
 // `is_placed`: the ranges after the last move determine where it is now.
-Opinion judge_move(const MoveEvidence& moved, bool is_placed) {
+Opinion judge_move(const AnchorEvidence& evidence, bool is_placed) {
+  const AnchorPath& path = evidence.path;
   const std::string unplaced = is_placed ? "" : "; its later ranges do not determine its position well";
-  if (moved.stand_in) {
-    const std::string where = "the place of anchor " + std::to_string(*moved.stand_in);
-    if (moved.is_back) {
-      return {AnchorVerdict::kWeak, "answered from " + where + " between " + times_of(moved) +
+  if (evidence.stand_in) {
+    const std::string where = "the place of anchor " + std::to_string(*evidence.stand_in);
+    if ((path.places_m.back() - path.places_m.front()).norm() < kSamePlace_m) {
+      return {AnchorVerdict::kWeak, "answered from " + where + " between " + times_of(path) +
                                         ": check whether their ids were swapped, and drive again" + unplaced};
     }
-    return {AnchorVerdict::kMoved, "answers from " + where + " since about " + times_of(moved) +
+    return {AnchorVerdict::kMoved, "answers from " + where + " since about " + times_of(path) +
                                        ": check whether their ids are swapped, and drive again" + unplaced};
   }
-  const char* request = moved.by_m.norm() > kFarMove_m ? "check that it is fixed and that no other has its id"
-                                                       : "check that it is fixed";
-  return {AnchorVerdict::kMoved, "was moved during the drive, about " + times_of(moved) +
-                                     (moved.at_s.size() > 1 ? ", last by " : ", by ") +
-                                     metres(moved.by_m.norm()) + " to its " +
-                                     side_of(Eigen::Vector3d::Zero(), moved.by_m) + " side: " + request +
-                                     ", and drive again" + unplaced};
+  const char* request = path.last_move_m.norm() > kFarMove_m
+                            ? "check that it is fixed and that no other has its id"
+                            : "check that it is fixed";
+  return {AnchorVerdict::kMoved, "was moved during the drive, about " + times_of(path) +
+                                     (path.moved_at_s.size() > 1 ? ", last by " : ", by ") +
+                                     metres(path.last_move_m.norm()) + " to its " +
+                                     side_of(Eigen::Vector3d::Zero(), path.last_move_m) +
+                                     " side: " + request + ", and drive again" + unplaced};
 }
 
 // Of an anchor whose position the ranges determine: whether they can.
@@ -272,9 +265,9 @@ std::optional<Opinion> judge_ranges(const AnchorEvidence& evidence, const model:
     return Opinion{AnchorVerdict::kNeverLos,
                    "its line of sight is nearly always blocked: drive where it is clear, or move it"};
   }
-  if (evidence.duplicate_m) {
+  if (evidence.path.duplicate_m) {
     return Opinion{AnchorVerdict::kWeak, "answers from two places, " +
-                                             metres((*evidence.duplicate_m - anchor.position_m).norm()) +
+                                             metres((*evidence.path.duplicate_m - anchor.position_m).norm()) +
                                              " apart: check whether two anchors have this id"};
   }
   std::optional<Opinion> opinion =
@@ -374,8 +367,7 @@ void gather_anchor_evidence(Site& site, std::span<const std::vector<FittedRange>
   for (std::size_t i = 0; i < site.fits.size(); ++i) {
     AnchorEvidence& out = site.evidence[i];
     out.inflation = site.fits[i].inflation;
-    out.moved = move_evidence(site, i);
-    out.duplicate_m = site.paths[i].duplicate_m;
+    out.stand_in = find_stand_in(site, i);
     out.surveyed = site.fits[i].problem.position.surveyed;
     out.rows = site.fits[i].problem.rows.size();
     judge_rows(site, i, fitted[i], out);
@@ -412,13 +404,13 @@ bool is_never_los(const AnchorEvidence& evidence) noexcept {
 
 void judge_anchor(const AnchorEvidence& evidence, model::AnchorCalibration& anchor) {
   std::optional<Opinion> opinion;
-  if (evidence.moved) {
+  if (evidence.path.has_moved()) {
     AnchorEvidence since = evidence;
-    since.moved.reset();
+    since.path.moved_at_s.clear();
     since.held_out.share_of_scale.reset();
     judge_anchor(since, anchor);
     if (anchor.verdict == AnchorVerdict::kNoData) return;
-    opinion = judge_move(*evidence.moved, model::is_usable(anchor.verdict));
+    opinion = judge_move(evidence, model::is_usable(anchor.verdict));
   } else {
     opinion = judge_ranges(evidence, anchor);
     if (!opinion) opinion = judge_position(evidence, anchor);

@@ -12,6 +12,7 @@
 
 #include "host/calibration/los_chain.hpp"
 #include "host/calibration/mirror.hpp"
+#include "host/calibration/moved.hpp"
 #include "host/model/calibration.hpp"
 
 namespace groma::calibration {
@@ -36,14 +37,6 @@ struct LosEvidence {
   double short_share = 0.0;             // share of ranges shorter than NLOS explains
 };
 
-// Evidence that an anchor moved during the drive.
-struct MoveEvidence {
-  std::vector<double> at_s;                              // of each move
-  Eigen::Vector3d by_m = Eigen::Vector3d::Zero();        // the last move
-  bool is_back = false;                                  // it ended at its first place
-  std::optional<model::NodeId> stand_in = std::nullopt;  // an anchor whose place it took
-};
-
 // Score of the last part of the drive against the solution of the part before it.
 struct HeldOut {
   std::optional<double> rms_m;
@@ -63,12 +56,12 @@ struct AnchorEvidence {
   double los_share = 0.0;                  // LOS share of its ranges
   double ignored_share = 0.0;              // share of its ranges with too weak a first path
   HeldOut held_out;
-  double scale_ratio = 1.0;                    // its noise over the site's median
-  double count_ratio = 1.0;                    // its ranges over the site's median
-  double inflation = 1.0;                      // estimate_inflation(): residuals correlated in time
-  double flicker = 1.0;                        // range-to-range scatter over the site's noise
-  std::optional<MoveEvidence> moved;           // during the drive
-  std::optional<Eigen::Vector3d> duplicate_m;  // a second place with its id
+  double scale_ratio = 1.0;  // its noise over the site's median
+  double count_ratio = 1.0;  // its ranges over the site's median
+  double inflation = 1.0;    // estimate_inflation(): residuals correlated in time
+  double flicker = 1.0;      // range-to-range scatter over the site's noise
+  AnchorPath path;
+  std::optional<model::NodeId> stand_in;  // another anchor whose place it took by a move
   std::optional<LosEvidence> los_states;
 };
 

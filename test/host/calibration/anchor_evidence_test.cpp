@@ -18,7 +18,6 @@ TEST(AnchorEvidence, CountsRangesThatNlosDoesNotExplain) {
   Site site;
   site.association.anchors.resize(1);
   site.fits.resize(1);
-  site.paths.resize(1);
   site.evidence.resize(1);
   site.los_states.anchors.resize(1);
   site.los_states.poll_shares.assign(1, LosVector(0.9, 0.05, 0.05));
