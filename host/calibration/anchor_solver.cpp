@@ -49,13 +49,6 @@ constexpr double kStudent = 2.0;
 
 using model::square;
 
-// Scale of the kernel over the standard deviation of kernel and pose together.
-double noise_share(const RobustKernel& kernel, double pose_variance_m2) noexcept {
-  if (!(pose_variance_m2 > 0.0)) return 1.0;
-  const double scale_m = kernel.shape().scale_m;
-  return scale_m / std::sqrt(scale_m * scale_m + pose_variance_m2);
-}
-
 // `seen`: the value of the pair's kernel; `row`: Observation::index.
 RowValue value_of(const AnchorProblem& problem, std::uint32_t row, const KernelValue& seen, double residual_m,
                   const AnchorVector& anchor, double pose_variance_m2) noexcept {
@@ -139,7 +132,7 @@ class Linearizer {
   Linearizer(const AnchorProblem& problem, std::span<const RobustKernel> kernels)
       : problem_(problem),
         kernels_(kernels),
-        columns_(columns_by_tag(problem.rows, problem.tag_count)),
+        columns_(problem.rows, problem.tag_count),
         prior_(information_of_priors(problem)),
         prior_mean_(anchor_at(problem.position.mean_m, problem.tag_count, problem.priors)) {}
 
@@ -162,7 +155,6 @@ class Linearizer {
 
  private:
   void add_rows(std::size_t tag, const AnchorVector& anchor, CostSum& cost, NormalEquations& out) const {
-    const RowColumns& columns = columns_[tag];
     const model::TermVector terms = terms_of(anchor, tag, problem_.tag_count);
     // Sums over the ranges of weight x x^T (lower triangle) and of slope x. Times `factor`, x = (direction,
     // by_terms()) is the derivative of eq. (12).
@@ -170,11 +162,11 @@ class Linearizer {
     factor.head<3>().setConstant(-model::scale_of(terms));
     PairBlock square = PairBlock::Zero();
     PairRow slope = PairRow::Zero();
-    for (Eigen::Index block = 0; block < columns.blocks(); ++block) {
+    for (Eigen::Index block = 0; block < columns_.blocks(tag); ++block) {
       std::array<Lanes, model::kPairSize> x;
       for (std::size_t axis = 0; axis < 3; ++axis) {
         const auto column = static_cast<Eigen::Index>(axis);
-        x[axis] = columns.at(block, RowColumns::kAntenna + column) - anchor(column);
+        x[axis] = columns_.at(tag, block, RowColumns::kAntenna + column) - anchor(column);
       }
       const Lanes distance_m = (x[0].square() + x[1].square() + x[2].square()).sqrt();
       const Lanes inverse = (distance_m > model::kMinDistance_m).select(1.0 / distance_m, 0.0);
@@ -183,9 +175,9 @@ class Linearizer {
       Lanes expected_m = terms(0) * x[3];
       for (Eigen::Index term = 1; term < terms.size(); ++term)
         expected_m += terms(term) * x[static_cast<std::size_t>(3 + term)];
-      const Lanes residual_m = columns.at(block, RowColumns::kRange) - expected_m;
+      const Lanes residual_m = columns_.at(tag, block, RowColumns::kRange) - expected_m;
       const KernelLanes value = value_at(tag, block, factor, x, residual_m, anchor, out);
-      cost.add(value.density, columns.rows_in(block));
+      cost.add(value.density, columns_.rows_in(tag, block));
       for (Eigen::Index column = 0; column < factor.size(); ++column) {
         const Lanes& by = x[static_cast<std::size_t>(column)];
         const Lanes weighted = value.weight * by;
@@ -210,11 +202,12 @@ class Linearizer {
   [[nodiscard]] KernelLanes value_at(std::size_t tag, Eigen::Index block, const PairRow& factor,
                                      const std::array<Lanes, model::kPairSize>& x, const Lanes& residual_m,
                                      const AnchorVector& anchor, NormalEquations& out) const {
-    const RowColumns& columns = columns_[tag];
     Lanes variance_m2 = Lanes::Zero();
     Lanes share = Lanes::Ones();
-    if (columns.has_spread) {
-      const auto spread_m2 = [&](Eigen::Index term) { return columns.at(block, RowColumns::kSpread + term); };
+    if (columns_.has_spread()) {
+      const auto spread_m2 = [&](Eigen::Index term) {
+        return columns_.at(tag, block, RowColumns::kSpread + term);
+      };
       const Lanes j_x = factor(0) * x[0];
       const Lanes j_y = factor(1) * x[1];
       variance_m2 =
@@ -223,14 +216,14 @@ class Linearizer {
       share = scale_m / (scale_m * scale_m + variance_m2).sqrt();
     }
     KernelLanes value = kernels_[tag].at(share * residual_m);
-    if (columns.has_spread) {
+    if (columns_.has_spread()) {
       value.density *= share;
       value.slope *= share;
       value.weight *= share.square();
     }
     if (problem_.los_states == nullptr) return value;
-    for (Eigen::Index lane = 0; lane < columns.rows_in(block); ++lane) {
-      const std::uint32_t row = columns.index[static_cast<std::size_t>(block * kLanes + lane)];
+    for (Eigen::Index lane = 0; lane < columns_.rows_in(tag, block); ++lane) {
+      const std::uint32_t row = columns_.index(tag, block, lane);
       const RowValue whole =
           value_of(problem_, row,
                    {.density = value.density(lane), .slope = value.slope(lane), .weight = value.weight(lane)},
@@ -263,7 +256,7 @@ class Linearizer {
 
   const AnchorProblem& problem_;
   std::span<const RobustKernel> kernels_;
-  std::vector<RowColumns> columns_;  // by tag
+  RowColumns columns_;
   Eigen::MatrixXd prior_;
   AnchorVector prior_mean_;  // without the excesses
 };
@@ -408,7 +401,14 @@ double pose_variance_m2(const Observation& row, const AnchorVector& anchor, std:
   return std::max(0.0, variance_m2);
 }
 
+double noise_share(const RobustKernel& kernel, double pose_variance_m2) noexcept {
+  if (!(pose_variance_m2 > 0.0)) return 1.0;
+  const double scale_m = kernel.shape().scale_m;
+  return scale_m / std::sqrt(scale_m * scale_m + pose_variance_m2);
+}
+
 KernelValue widened_value(const RobustKernel& kernel, double pose_variance_m2, double residual_m) noexcept {
+  if (!(pose_variance_m2 > 0.0)) return kernel.at(residual_m);
   const double share = noise_share(kernel, pose_variance_m2);
   KernelValue out = kernel.at(share * residual_m);
   out.density *= share;
@@ -442,24 +442,6 @@ RowAt row_at(const AnchorFit& fit, const Observation& row) noexcept {
                        out.residual_m, fit.anchor, variance_m2);
   out.j.head<3>() = -out.predicted.scale * out.predicted.direction;
   out.j.tail<model::kPairSize - 3>() = out.predicted.d_terms;
-  return out;
-}
-
-std::vector<RowColumns> columns_by_tag(std::span<const Observation> rows, std::size_t tag_count) {
-  std::vector<RowColumns> out(tag_count);
-  for (const Observation& row : rows) out[row.tag].index.push_back(row.index);
-  for (RowColumns& tag : out) {
-    const Eigen::Index blocks = (std::ssize(tag.index) + kLanes - 1) / kLanes;
-    tag.columns.setZero(blocks * kLanes, Eigen::NoChange);
-    tag.columns.col(RowColumns::kRange).setConstant(std::numeric_limits<double>::quiet_NaN());
-  }
-  std::vector<Eigen::Index> next(tag_count, 0);
-  for (const Observation& row : rows) {
-    RowColumns& tag = out[row.tag];
-    tag.columns.row(next[row.tag]++) << row.tag_m.transpose().array(), row.range_m,
-        row.pose_spread_m2.cast<double>().transpose().array();
-    tag.has_spread = tag.has_spread || !row.pose_spread_m2.isZero(0.0F);
-  }
   return out;
 }
 

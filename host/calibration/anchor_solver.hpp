@@ -6,7 +6,7 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
-#include <iterator>
+#include <limits>
 #include <optional>
 #include <span>
 #include <vector>
@@ -131,6 +131,8 @@ struct AnchorFit {
 // have no covariance.
 [[nodiscard]] double pose_variance_m2(const Observation& row, const AnchorVector& anchor,
                                       std::size_t tag_count) noexcept;
+// Scale of the kernel over the standard deviation of kernel and pose together.
+[[nodiscard]] double noise_share(const RobustKernel& kernel, double pose_variance_m2) noexcept;
 // Value of the kernel with its variance increased by `pose_variance_m2`.
 [[nodiscard]] KernelValue widened_value(const RobustKernel& kernel, double pose_variance_m2,
                                         double residual_m) noexcept;
@@ -156,33 +158,78 @@ void add_square(const PairRow& j, double weight, PairBlock& lower) noexcept;
 struct RowAt {
   model::AntennaPrediction predicted;
   double residual_m = 0.0;
-  double noise_share = 1.0;  // scale of the kernel over the standard deviation of kernel and pose together
+  double noise_share = 1.0;
   RowValue value = {};
   PairRow j = PairRow::Zero();  // derivative of eq. (12) by position and terms of its pair
 };
 [[nodiscard]] RowAt row_at(const AnchorFit& fit, const Observation& row) noexcept;
 
-// The observations of one tag as inner loops read them: in blocks of kLanes, column by column. The last block
-// is padded with NaN ranges, which have no weight.
-struct RowColumns {
+// An anchor's observations as inner loops read them: tag by tag in blocks of kLanes, column by column. The
+// last block of a tag is padded with NaN ranges, which have no weight.
+class RowColumns {
+ public:
   static constexpr Eigen::Index kAntenna = 0;  // x, y, z, m
   static constexpr Eigen::Index kRange = 3;    // m
   static constexpr Eigen::Index kSpread = 4;   // Observation::pose_spread_m2
 
-  Eigen::Array<double, Eigen::Dynamic, kSpread + 3> columns;
-  std::vector<std::uint32_t> index;  // Observation::index
-  bool has_spread = false;           // some pose has a covariance
+  RowColumns(std::span<const Observation> rows, std::size_t tag_count) : tags_(tag_count) {
+    for (const Observation& row : rows) ++tags_[row.tag].count;
+    std::vector<Eigen::Index> next;
+    Eigen::Index size = 0;
+    for (std::size_t tag = 0; tag < tag_count; ++tag) {
+      tags_[tag].first = size;
+      next.push_back(size);
+      size += blocks(tag) * kLanes;
+    }
+    columns_.resize(size, kSpread + 3);
+    index_.resize(static_cast<std::size_t>(size));
+    for (const Observation& row : rows) {
+      const Eigen::Index at = next[row.tag]++;
+      for (Eigen::Index axis = 0; axis < 3; ++axis) columns_(at, kAntenna + axis) = row.tag_m(axis);
+      columns_(at, kRange) = row.range_m;
+      index_[static_cast<std::size_t>(at)] = row.index;
+      if (row.pose_spread_m2.isZero(0.0F)) continue;
+      if (!has_spread_) columns_.rightCols<3>().setZero();
+      has_spread_ = true;
+      for (Eigen::Index term = 0; term < 3; ++term)
+        columns_(at, kSpread + term) = static_cast<double>(row.pose_spread_m2(term));
+    }
+    // The lanes beyond the last row.
+    for (std::size_t tag = 0; tag < tag_count; ++tag) {
+      for (Eigen::Index at = next[tag]; at < tags_[tag].first + blocks(tag) * kLanes; ++at) {
+        columns_.row(at).setZero();
+        columns_(at, kRange) = std::numeric_limits<double>::quiet_NaN();
+      }
+    }
+  }
 
-  [[nodiscard]] Eigen::Index blocks() const noexcept { return columns.rows() / kLanes; }
-  [[nodiscard]] Eigen::Index rows_in(Eigen::Index block) const noexcept {
-    return std::min(kLanes, std::ssize(index) - block * kLanes);
+  [[nodiscard]] Eigen::Index blocks(std::size_t tag) const noexcept {
+    return (tags_[tag].count + kLanes - 1) / kLanes;
   }
-  [[nodiscard]] auto at(Eigen::Index block, Eigen::Index column) const noexcept {
-    return columns.col(column).segment<kLanes>(block * kLanes);
+  [[nodiscard]] Eigen::Index rows_in(std::size_t tag, Eigen::Index block) const noexcept {
+    return std::min(kLanes, tags_[tag].count - block * kLanes);
   }
+  [[nodiscard]] auto at(std::size_t tag, Eigen::Index block, Eigen::Index column) const noexcept {
+    return columns_.col(column).segment<kLanes>(tags_[tag].first + block * kLanes);
+  }
+  // Whether any pose has a covariance.
+  [[nodiscard]] bool has_spread() const noexcept { return has_spread_; }
+  // Observation::index
+  [[nodiscard]] std::uint32_t index(std::size_t tag, Eigen::Index block, Eigen::Index lane) const noexcept {
+    return index_[static_cast<std::size_t>(tags_[tag].first + block * kLanes + lane)];
+  }
+
+ private:
+  struct Tag {
+    Eigen::Index first = 0;
+    Eigen::Index count = 0;
+  };
+
+  std::vector<Tag> tags_;
+  Eigen::Array<double, Eigen::Dynamic, kSpread + 3> columns_;
+  bool has_spread_ = false;
+  std::vector<std::uint32_t> index_;
 };
-[[nodiscard]] std::vector<RowColumns> columns_by_tag(std::span<const Observation> rows,
-                                                     std::size_t tag_count);
 
 // Information of all priors, for all of the anchor's unknowns.
 [[nodiscard]] Eigen::MatrixXd information_of_priors(const AnchorProblem& problem);

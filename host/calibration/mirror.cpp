@@ -11,6 +11,7 @@
 
 #include "host/calibration/comparison.hpp"
 #include "host/calibration/site.hpp"
+#include "host/calibration/site_solver.hpp"
 #include "host/model/ablation.hpp"
 
 namespace groma::calibration {

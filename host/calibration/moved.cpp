@@ -11,7 +11,9 @@
 #include <Eigen/Cholesky>
 
 #include "host/calibration/mirror.hpp"
+#include "host/calibration/robust_kernel.hpp"
 #include "host/calibration/site.hpp"
+#include "host/calibration/site_solver.hpp"
 
 namespace groma::calibration {
 namespace {

@@ -9,9 +9,6 @@
 #include <Eigen/Core>
 
 #include "host/calibration/anchor_solver.hpp"
-#include "host/calibration/los_solver.hpp"
-#include "host/calibration/robust_kernel.hpp"
-#include "host/calibration/site_solver.hpp"
 
 namespace groma::calibration {
 

@@ -108,6 +108,31 @@ PositionPrior position_prior(const SiteProblem& site, const AnchorObservations& 
   return prior;
 }
 
+// The solution in the basin of the start, with kernels estimated from its own residuals: it does not depend
+// on a first guess of the noise. The cost is a negative log likelihood, so costs with different kernels are
+// comparable.
+AnchorFit descend(const AnchorProblem& problem, const AnchorVector& start) {
+  AnchorFit out{.problem = problem, .anchor = start};
+  // The scale shrinks from the basin's width to that of the residuals: the basin is wide at first.
+  KernelShape shape = KernelShape{.scale_m = valley_width_m(problem)}.with_nlos(0.1);
+  std::vector<WeighedResidual> residuals(problem.rows.size());
+  for (int round = 0; round < kSearchRounds; ++round) {
+    if (round > 0) {
+      for (std::size_t i = 0; i < residuals.size(); ++i) {
+        residuals[i].residual_m = residual_m(problem.rows[i], out.anchor, problem.tag_count);
+      }
+      KernelPrior prior{.shape = shape, .scale_weight = 3.0, .share_weight = 3.0};
+      prior.shape.scale_m = std::max(problem.priors.sigma_m, shape.scale_m / 2.0);
+      shape = fit_kernel(residuals, prior, 3);
+    }
+    out.kernels.assign(problem.tag_count, RobustKernel(shape));
+    AnchorSolution solution = solve_anchor(problem, out.kernels, out.anchor, kSearchIterations);
+    out.anchor = std::move(solution.anchor);
+    out.cost = solution.cost;
+  }
+  return out;
+}
+
 // Every n-th residual of each tag, weighted by its probability of LOS.
 std::vector<std::vector<WeighedResidual>> sample_residuals(const AnchorFit& fit) {
   const std::size_t tags = fit.problem.tag_count;
@@ -117,11 +142,12 @@ std::vector<std::vector<WeighedResidual>> sample_residuals(const AnchorFit& fit)
   std::vector<std::size_t> seen(tags, 0);
   for (const Observation& row : fit.problem.rows) {
     if (seen[row.tag]++ % stride != 0) continue;
-    const RowAt at = row_at(fit, row);
+    const double r = residual_m(row, fit.anchor, tags);
     // The larger the pose's part of a residual, the less it shows of the kernel's variance.
-    const double share = at.noise_share;
-    out[row.tag].push_back(
-        {.residual_m = share * at.residual_m, .weight = share * share * share * share * at.value.los_count});
+    const double share = noise_share(fit.kernels[row.tag], pose_variance_m2(row, fit.anchor, tags));
+    double weight = share * share * share * share;
+    if (fit.problem.los_states != nullptr) weight *= row_at(fit, row).value.los_count;
+    out[row.tag].push_back({.residual_m = share * r, .weight = weight});
   }
   return out;
 }
@@ -185,28 +211,6 @@ void find_start_beside(const AnchorFit& earlier, AnchorFit& fit) {
 
 }  // namespace
 
-AnchorFit descend(const AnchorProblem& problem, const AnchorVector& start) {
-  AnchorFit out{.problem = problem, .anchor = start};
-  // The scale shrinks from the basin's width to that of the residuals: the basin is wide at first.
-  KernelShape shape = KernelShape{.scale_m = valley_width_m(problem)}.with_nlos(0.1);
-  std::vector<WeighedResidual> residuals(problem.rows.size());
-  for (int round = 0; round < kSearchRounds; ++round) {
-    if (round > 0) {
-      for (std::size_t i = 0; i < residuals.size(); ++i) {
-        residuals[i].residual_m = residual_m(problem.rows[i], out.anchor, problem.tag_count);
-      }
-      KernelPrior prior{.shape = shape, .scale_weight = 3.0, .share_weight = 3.0};
-      prior.shape.scale_m = std::max(problem.priors.sigma_m, shape.scale_m / 2.0);
-      shape = fit_kernel(residuals, prior, 3);
-    }
-    out.kernels.assign(problem.tag_count, RobustKernel(shape));
-    AnchorSolution solution = solve_anchor(problem, out.kernels, out.anchor, kSearchIterations);
-    out.anchor = std::move(solution.anchor);
-    out.cost = solution.cost;
-  }
-  return out;
-}
-
 AnchorFit search(const AnchorProblem& problem) {
   const model::RangePriors& priors = problem.priors;
   const double scale = model::scale_of(model::means_of(priors));
@@ -217,16 +221,16 @@ AnchorFit search(const AnchorProblem& problem) {
   // All tags count as one until the biases are known.
   std::vector<Observation> of_one_tag;
   for (const Observation* row : sample(problem.rows, kScoredRows)) of_one_tag.emplace_back(*row).tag = 0;
-  const RowColumns columns = columns_by_tag(of_one_tag, 1).front();
+  const RowColumns columns(of_one_tag, 1);
   for (Start& start : starts) {
-    for (Eigen::Index block = 0; block < columns.blocks(); ++block) {
+    for (Eigen::Index block = 0; block < columns.blocks(0); ++block) {
       Lanes square_m2 = Lanes::Zero();
       for (Eigen::Index axis = 0; axis < 3; ++axis) {
-        square_m2 += (columns.at(block, RowColumns::kAntenna + axis) - start.position_m(axis)).square();
+        square_m2 += (columns.at(0, block, RowColumns::kAntenna + axis) - start.position_m(axis)).square();
       }
       const Lanes expected_m = scale * square_m2.sqrt() + offset_m;
-      const Lanes square = ((columns.at(block, RowColumns::kRange) - expected_m) / width_m).square();
-      start.score += (square / (1.0 + square)).head(columns.rows_in(block)).sum();
+      const Lanes square = ((columns.at(0, block, RowColumns::kRange) - expected_m) / width_m).square();
+      start.score += (square / (1.0 + square)).head(columns.rows_in(0, block)).sum();
     }
   }
   std::stable_sort(starts.begin(), starts.end(),

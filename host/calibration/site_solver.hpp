@@ -16,13 +16,8 @@
 
 namespace groma::calibration {
 
-// The solution in the basin of the start, with kernels estimated from its own residuals: it does not depend
-// on a first guess of the noise. The cost is a negative log likelihood, so costs with different kernels are
-// comparable.
-[[nodiscard]] AnchorFit descend(const AnchorProblem& problem, const AnchorVector& start);
-
-// Search without a start: the best of several descend() solutions. The observations should be few and spread
-// out.
+// Search without a start: the best of several solutions, each with kernels estimated from its own residuals.
+// The observations should be few and spread out.
 [[nodiscard]] AnchorFit search(const AnchorProblem& problem);
 
 struct SiteProblem {
