@@ -423,7 +423,7 @@ void JointCovariance::correct(const CoreRow& d_core, Projected& projected, doubl
 CoreMatrix JointCovariance::take_absence() noexcept {
   settle_motion();
   auto rows = cross_.middleRows<kCoreSize>(size_);
-  const CoreMatrix absence = rows;
+  CoreMatrix absence = rows;
   if (absent_rows_ > 0) rows.setIdentity();
   return absence;
 }
