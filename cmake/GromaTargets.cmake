@@ -75,13 +75,52 @@ endforeach()
 add_library(groma_dynamic_eigen INTERFACE)
 target_compile_options(groma_dynamic_eigen INTERFACE -Wno-null-dereference)
 
-# groma_library(NAME <name> SOURCES ... [DEPENDS ...] [APART]); a library without sources is an interface.
-# APART: each source is compiled separately, even with CMAKE_UNITY_BUILD.
+# The linker takes the first instance of a template that it meets. With the optimized libraries that it depends
+# on first, a program that is not optimized runs Eigen at their speed. Called when all targets are known.
+function(groma_prefer_their_instances target)
+  set(first "")
+  set(seen ${target})
+  get_target_property(queue ${target} LINK_LIBRARIES)
+  while(queue)
+    list(POP_FRONT queue library)
+    if(NOT library MATCHES "^groma_" OR library IN_LIST seen)
+      continue()
+    endif()
+    list(APPEND seen ${library})
+    get_target_property(type ${library} TYPE)
+    get_target_property(is_unoptimized ${library} GROMA_UNOPTIMIZED)
+    get_target_property(more ${library} INTERFACE_LINK_LIBRARIES)
+    if(type STREQUAL STATIC_LIBRARY AND NOT is_unoptimized)
+      string(APPEND first " $<TARGET_FILE:${library}>")
+    endif()
+    if(more)
+      list(APPEND queue ${more})
+    endif()
+  endwhile()
+  if(first)
+    target_link_options(${target} PRIVATE "SHELL:-Wl,--whole-archive${first} -Wl,--no-whole-archive")
+  endif()
+endfunction()
+function(groma_compile_unoptimized target)
+  target_compile_options(${target} PRIVATE -O0)
+  set_target_properties(${target} PROPERTIES GROMA_UNOPTIMIZED ON)
+  get_target_property(type ${target} TYPE)
+  if(type STREQUAL EXECUTABLE)
+    cmake_language(EVAL CODE "cmake_language(DEFER DIRECTORY \"${CMAKE_SOURCE_DIR}\" CALL groma_prefer_their_instances ${target})")
+  endif()
+endfunction()
+
+# groma_library(NAME <name> SOURCES ... [DEPENDS ...] [APART] [UNOPTIMIZED]); a library without sources is an interface.
+# APART: each source is compiled separately, even with CMAKE_UNITY_BUILD. UNOPTIMIZED: it computes little, and
+# under a sanitizer is compiled in half the time so.
 function(groma_library)
-  cmake_parse_arguments(arg "APART" "NAME" "SOURCES;DEPENDS" ${ARGN})
+  cmake_parse_arguments(arg "APART;UNOPTIMIZED" "NAME" "SOURCES;DEPENDS" ${ARGN})
   if(arg_SOURCES)
     add_library(${arg_NAME} STATIC ${arg_SOURCES})
     target_link_libraries(${arg_NAME} PRIVATE $<BUILD_INTERFACE:groma_build_options> PUBLIC ${arg_DEPENDS})
+    if(arg_UNOPTIMIZED AND GROMA_SANITIZE)
+      groma_compile_unoptimized(${arg_NAME})
+    endif()
     target_include_directories(${arg_NAME} PUBLIC $<BUILD_INTERFACE:${CMAKE_SOURCE_DIR}>)
     if(arg_APART)
       set_target_properties(${arg_NAME} PROPERTIES UNITY_BUILD OFF)
@@ -93,25 +132,28 @@ function(groma_library)
   endif()
 endfunction()
 
-# groma_executable(NAME <name> SOURCES ... [DEPENDS ...])
+# groma_executable(NAME <name> SOURCES ... [DEPENDS ...] [UNOPTIMIZED])
 function(groma_executable)
-  cmake_parse_arguments(arg "" "NAME" "SOURCES;DEPENDS" ${ARGN})
+  cmake_parse_arguments(arg "UNOPTIMIZED" "NAME" "SOURCES;DEPENDS" ${ARGN})
   add_executable(${arg_NAME} ${arg_SOURCES})
   target_link_libraries(${arg_NAME} PRIVATE groma_build_options ${arg_DEPENDS})
+  if(arg_UNOPTIMIZED AND GROMA_SANITIZE)
+    groma_compile_unoptimized(${arg_NAME})
+  endif()
 endfunction()
 
 # groma_test(NAME <name> SOURCES ... [DEPENDS ...] [DEFINITIONS ...] [LABELS ...] [SHARDS n] [TIMEOUT s]
-#            [STATISTICS] [LONG pattern] [UNEMULATED pattern] [SLOW] [UNSANITIZED] [OPTIMIZED | UNOPTIMIZED]):
+#            [STATISTICS] [LONG pattern] [UNEMULATED pattern] [SLOW] [UNSANITIZED] [OPTIMIZED]):
 #            a GoogleTest program.
 # Each of its n shards is one CTest test: one process that runs every n-th case. A program with the label
 # "long" is only built with GROMA_LONG_TESTS. So are the cases that match LONG (a GoogleTest filter), as a
 # separate CTest test. SLOW: `scripts/test --quick` leaves it out. STATISTICS: the program does not run under
 # a sanitizer, nor do cases named OverMany, because many drives execute no other code than one. UNSANITIZED:
 # under a sanitizer the program runs only with GROMA_LONG_TESTS, as do the cases that match GROMA_UNSANITIZED,
-# and in QEMU those that match UNEMULATED. OPTIMIZED: the program would otherwise take longer to run than it saves to build.
-# Under a sanitizer that holds for all but UNOPTIMIZED ones.
+# and in QEMU those that match UNEMULATED. OPTIMIZED, but not under a sanitizer: the program would otherwise
+# take longer to run than it saves to build.
 function(groma_test)
-  cmake_parse_arguments(arg "STATISTICS;SLOW;UNSANITIZED;OPTIMIZED;UNOPTIMIZED" "NAME;TIMEOUT;SHARDS;LONG;UNEMULATED" "SOURCES;DEPENDS;DEFINITIONS;LABELS" ${ARGN})
+  cmake_parse_arguments(arg "STATISTICS;SLOW;UNSANITIZED;OPTIMIZED" "NAME;TIMEOUT;SHARDS;LONG;UNEMULATED" "SOURCES;DEPENDS;DEFINITIONS;LABELS" ${ARGN})
   if(("long" IN_LIST arg_LABELS AND NOT GROMA_LONG_TESTS) OR (arg_STATISTICS AND GROMA_SANITIZE)
      OR (arg_UNSANITIZED AND GROMA_SANITIZE AND NOT GROMA_LONG_TESTS))
     return()
@@ -135,11 +177,14 @@ function(groma_test)
   list(FILTER support INCLUDE REGEX "/test/support/")
   set_source_files_properties(${support} PROPERTIES SKIP_UNITY_BUILD_INCLUSION ON)
   set(kind plain)
-  if(arg_OPTIMIZED OR (GROMA_SANITIZE AND NOT arg_UNOPTIMIZED))
+  if(arg_OPTIMIZED AND NOT GROMA_SANITIZE)
     set(kind optimized)
   endif()
   target_link_libraries(${arg_NAME} PRIVATE groma_build_options groma_${kind}_test_options ${arg_DEPENDS} GTest::gtest GTest::gmock GTest::gtest_main)
   target_compile_definitions(${arg_NAME} PRIVATE ${arg_DEFINITIONS})
+  if(GROMA_SANITIZE)
+    groma_compile_unoptimized(${arg_NAME})
+  endif()
   if(TARGET groma_${kind}_test_headers)
     target_precompile_headers(${arg_NAME} REUSE_FROM groma_${kind}_test_headers)
   endif()
@@ -195,13 +240,13 @@ function(groma_test)
 endfunction()
 
 # groma_campaign(NAME <name> SOURCES ... SHORT ... LONG ... [DEPENDS ...] [TIMEOUT s] [STATISTICS] [SLOW]
-#                [OPTIMIZED | UNOPTIMIZED]):
+#                [OPTIMIZED]):
 # the tests <name>_test and, long, <name> of the same sources; SHORT and LONG are their definitions; TIMEOUT
 # is that of the long one.
 function(groma_campaign)
-  cmake_parse_arguments(arg "STATISTICS;SLOW;OPTIMIZED;UNOPTIMIZED" "NAME;TIMEOUT" "SOURCES;DEPENDS;SHORT;LONG" ${ARGN})
+  cmake_parse_arguments(arg "STATISTICS;SLOW;OPTIMIZED" "NAME;TIMEOUT" "SOURCES;DEPENDS;SHORT;LONG" ${ARGN})
   set(common SOURCES ${arg_SOURCES} DEPENDS ${arg_DEPENDS})
-  foreach(option STATISTICS SLOW OPTIMIZED UNOPTIMIZED)
+  foreach(option STATISTICS SLOW OPTIMIZED)
     if(arg_${option})
       list(APPEND common ${option})
     endif()
