@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <optional>
+#include <utility>
 
 #include <Eigen/Cholesky>
 
@@ -44,7 +45,7 @@ constexpr double kNlosPlaces_m = 0.10;
 // degree of freedom, 99.9 %.
 constexpr double kHeightChiSquare = 10.8;
 
-// One anchor and the sum of the terms so far.
+// One anchor, its terms and their sum so far.
 struct Anchor {
   const Site& site;
   std::size_t index;
@@ -52,29 +53,33 @@ struct Anchor {
   const AnchorEvidence& known;
   Eigen::Index tags;
   Eigen::MatrixXd covariance;
+  std::vector<BudgetTerm> terms;
 
   [[nodiscard]] bool surveyed() const noexcept { return fit.problem.position.surveyed; }
   // A survey's position does not depend on the ranges.
-  void add(Eigen::MatrixXd more) {
+  void add(const char* name, Eigen::MatrixXd more) {
     if (surveyed()) {
       more.topRows<3>().setZero();
       more.leftCols<3>().setZero();
     }
     covariance += more;
+    terms.push_back({.name = name, .adds = std::move(more)});
   }
-  void add_to_position(const Eigen::Matrix3d& more_m2) {
-    if (!surveyed()) covariance.topLeftCorner<3, 3>() += more_m2;
+  void add_to_position(const char* name, const Eigen::Matrix3d& more_m2) {
+    Eigen::MatrixXd more = Eigen::MatrixXd::Zero(covariance.rows(), covariance.cols());
+    more.topLeftCorner<3, 3>() = more_m2;
+    add(name, std::move(more));
   }
 };
 
 // A bias common to all betas, of this sigma, and the response of the other unknowns; and an error of the
 // position that differs from place to place.
-void add_bias(double common_m, double position_m, Anchor& anchor) {
+void add_bias(const char* name, double common_m, double position_m, Anchor& anchor) {
   const Eigen::LDLT<Eigen::MatrixXd> biases(anchor.covariance.block(3, 3, anchor.tags, anchor.tags));
   const Eigen::VectorXd response = common_m * anchor.covariance.middleCols(3, anchor.tags) *
                                    biases.solve(Eigen::VectorXd::Ones(anchor.tags));
-  if (response.allFinite()) anchor.add(response * response.transpose());
-  anchor.add_to_position(square(position_m) * Eigen::Matrix3d::Identity());
+  if (response.allFinite()) anchor.add(name, response * response.transpose());
+  anchor.add_to_position(name, square(position_m) * Eigen::Matrix3d::Identity());
 }
 
 // Scatter by the part of the drive that the anchor is solved from.
@@ -83,8 +88,9 @@ void add_parts_of_drive(Anchor& anchor) {
   const std::optional<Eigen::Matrix3d> jackknife = jackknife_covariance(anchor.fit);
   if (!jackknife) return;
   const Eigen::Index size = anchor.covariance.rows();
-  anchor.add(excess_of_jackknife(
-      *jackknife, anchor_covariance(anchor.fit.evidence, anchor.fit.inflation).topLeftCorner(size, size)));
+  const Eigen::MatrixXd expected = anchor_covariance(anchor.fit.evidence, anchor.fit.inflation);
+  anchor.add("parts of the drive (jackknife)",
+             excess_of_jackknife(*jackknife, expected.topLeftCorner(size, size)));
 }
 
 // Negative. Where ranges leave a direction open, such as z of an anchor at the tags' height, the covariance
@@ -98,25 +104,28 @@ void add_reach(Anchor& anchor) {
       anchor.covariance.topLeftCorner<3, 3>() + square(sigma_m) * Eigen::Matrix3d::Identity();
   const Eigen::MatrixXd by_position = anchor.covariance.leftCols<3>();
   const Eigen::MatrixXd less = by_position * sum.ldlt().solve(by_position.transpose());
-  if (less.allFinite()) anchor.add(-0.5 * (less + less.transpose()));
+  if (less.allFinite()) anchor.add("reach of the ranges", -0.5 * (less + less.transpose()));
 }
 
 void add_nlos(Anchor& anchor) {
   if (model::is_ablated(model::Mechanism::kCalibrationBlocking)) return;
   const AnchorEvidence& known = anchor.known;
-  // NLOS ranges taken for LOS.
   if (known.los_states) {
     const double sigma_m = std::min(kMostMisjudged_m, kMisjudged_m * (1.0 - known.los_share));
-    anchor.add_to_position(square(sigma_m) * Eigen::Matrix3d::Identity());
-    anchor.covariance.diagonal().segment(3, anchor.tags).array() += square(kMisjudgedBeta * sigma_m);
+    Eigen::VectorXd variances = Eigen::VectorXd::Zero(anchor.covariance.rows());
+    variances.head<3>().setConstant(square(sigma_m));
+    variances.segment(3, anchor.tags).setConstant(square(kMisjudgedBeta * sigma_m));
+    anchor.add("NLOS ranges taken for LOS", variances.asDiagonal());
   }
   if (anchor.tags == 0) return;
-  if (contradicts_itself(known)) add_bias(kTornSigma_m, kTornSigma_m, anchor);
+  if (contradicts_itself(known))
+    add_bias("ranges that contradict each other", kTornSigma_m, kTornSigma_m, anchor);
   if (!is_never_los(known) && !is_hardly_los(known)) return;
-  if (!known.los_states) return add_bias(kExcessSigma_m, kExcessVariation_m, anchor);
+  constexpr const char* kName = "excess of NLOS";
+  if (!known.los_states) return add_bias(kName, kExcessSigma_m, kExcessVariation_m, anchor);
   // The excess of its long NLOS is in the covariance already, unless that passed for short NLOS.
-  add_bias(kExcessDiffers_m + known.los_states->excess_m * known.los_states->polls(kShortNlos), kNlosPlaces_m,
-           anchor);
+  add_bias(kName, kExcessDiffers_m + known.los_states->excess_m * known.los_states->polls(kShortNlos),
+           kNlosPlaces_m, anchor);
 }
 
 // Both sides explain the ranges, so the biases follow the height, as in the terms before. Where the position
@@ -124,17 +133,19 @@ void add_nlos(Anchor& anchor) {
 // else 1.4. With biases that stay, one tag (simulated) localizes twice as badly.
 void add_mirror_across_plane(Anchor& anchor) {
   if (!anchor.known.mirror) return;
+  constexpr const char* kName = "mirror side across the plane";
   const Eigen::Matrix3d moment_m2 = mirror_covariance(*anchor.known.mirror, anchor.fit);
   const Eigen::Matrix3d position_m2 = anchor.covariance.topLeftCorner<3, 3>();
-  if (horizontal_sigma_m(position_m2) > kWeakSigma_m) return anchor.add_to_position(moment_m2);
+  if (horizontal_sigma_m(position_m2) > kWeakSigma_m) return anchor.add_to_position(kName, moment_m2);
   const Eigen::MatrixXd response = position_m2.ldlt().solve(anchor.covariance.topRows<3>()).transpose();
   const Eigen::MatrixXd out = response * moment_m2 * response.transpose();
-  if (!out.allFinite()) return anchor.add_to_position(moment_m2);
-  anchor.add(0.5 * (out + out.transpose()));
+  if (!out.allFinite()) return anchor.add_to_position(kName, moment_m2);
+  anchor.add(kName, 0.5 * (out + out.transpose()));
 }
 
 void add_mirror_across_line(Anchor& anchor) {
-  if (anchor.known.side) anchor.add_to_position(mirror_covariance(*anchor.known.side, anchor.fit));
+  if (!anchor.known.side) return;
+  anchor.add_to_position("mirror side across the line", mirror_covariance(*anchor.known.side, anchor.fit));
 }
 
 // Whether one height is about as far below the tags as the other is above: then the mirror test decides.
@@ -156,19 +167,22 @@ void add_height_of_beginning(Anchor& anchor) {
   const double shift_m = anchor.fit.anchor(2) - first.anchor(2);
   const double variance_m2 =
       std::max(2.0 * anchor.covariance(2, 2), anchor.known.held_out.height_variance_m2);
-  if (square(shift_m) > kHeightChiSquare * variance_m2) anchor.covariance(2, 2) += square(shift_m);
+  if (!(square(shift_m) > kHeightChiSquare * variance_m2)) return;
+  anchor.add_to_position("height by the drive's beginning",
+                         Eigen::Vector3d(0.0, 0.0, square(shift_m)).asDiagonal());
 }
 
 // Error that all anchors share and no range observes.
 void add_frame_of_poses(Anchor& anchor) {
   const Eigen::Matrix<double, 3, 4> by_frame = model::position_by_frame(anchor.fit.anchor.head<3>());
   const Eigen::Matrix3d shared = by_frame * anchor.site.error.unseen_frame_covariance * by_frame.transpose();
-  anchor.add_to_position(0.5 * (shared + shared.transpose()));
+  anchor.add_to_position("frame of the poses", 0.5 * (shared + shared.transpose()));
 }
 
 }  // namespace
 
-Eigen::MatrixXd covariance_budget(const Site& site, std::size_t index, const Eigen::MatrixXd& solved) {
+std::vector<BudgetTerm> covariance_budget(const Site& site, std::size_t index,
+                                          const Eigen::MatrixXd& solved) {
   const AnchorFit& fit = site.fits[index];
   const Eigen::Index size = excess_index(fit.problem.tag_count);
   Anchor anchor{.site = site,
@@ -177,6 +191,7 @@ Eigen::MatrixXd covariance_budget(const Site& site, std::size_t index, const Eig
                 .known = site.evidence[index],
                 .tags = static_cast<Eigen::Index>(fit.problem.tag_count),
                 .covariance = solved.topLeftCorner(size, size)};
+  anchor.terms.push_back({.name = "ranges", .adds = anchor.covariance});
   // The order matters: reach, NLOS and heights depend on the sum of the terms before.
   add_parts_of_drive(anchor);
   add_reach(anchor);
@@ -185,7 +200,13 @@ Eigen::MatrixXd covariance_budget(const Site& site, std::size_t index, const Eig
   add_mirror_across_line(anchor);
   add_height_of_beginning(anchor);
   add_frame_of_poses(anchor);
-  return anchor.covariance;
+  return std::move(anchor.terms);
+}
+
+Eigen::MatrixXd total(const std::vector<BudgetTerm>& budget) {
+  Eigen::MatrixXd out = budget.front().adds;
+  for (std::size_t i = 1; i < budget.size(); ++i) out += budget[i].adds;
+  return out;
 }
 
 }  // namespace groma::calibration

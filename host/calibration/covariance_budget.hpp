@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstddef>
+#include <vector>
 
 #include <Eigen/Core>
 
@@ -9,9 +10,16 @@
 
 namespace groma::calibration {
 
-// Covariance of one anchor's position and terms: the sum of all terms that apply. `solved`: the covariance by
-// ranges, drive error and links.
-[[nodiscard]] Eigen::MatrixXd covariance_budget(const Site& site, std::size_t index,
-                                                const Eigen::MatrixXd& solved);
+// One term: its name, and what it adds to the covariance of the anchor's parameters.
+struct BudgetTerm {
+  const char* name = "";
+  Eigen::MatrixXd adds;
+};
+
+// Terms of one anchor that apply; their sum is its covariance. The first is `solved`, the covariance by
+// ranges, drive error and links, without the NLOS excesses.
+[[nodiscard]] std::vector<BudgetTerm> covariance_budget(const Site& site, std::size_t index,
+                                                        const Eigen::MatrixXd& solved);
+[[nodiscard]] Eigen::MatrixXd total(const std::vector<BudgetTerm>& budget);
 
 }  // namespace groma::calibration

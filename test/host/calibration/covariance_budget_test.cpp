@@ -1,9 +1,11 @@
 #include "host/calibration/covariance_budget.hpp"
 
+#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include <cmath>
 #include <span>
+#include <string>
 #include <vector>
 
 #include <Eigen/LU>
@@ -33,7 +35,7 @@ class CovarianceBudget : public ::testing::Test {
     evidence.nearest_m = kNearest_m;
     evidence.los_share = 0.95;
   }
-  [[nodiscard]] Eigen::MatrixXd budget() const { return covariance_budget(site_, 0, solved_); }
+  [[nodiscard]] Eigen::MatrixXd budget() const { return total(covariance_budget(site_, 0, solved_)); }
 
   std::vector<Observation> rows_{100};
   Site site_;
@@ -64,6 +66,16 @@ TEST_F(CovarianceBudget, TheOtherSideCountsWithItsProbability) {
   EXPECT_NEAR(added(2, 2), 9.0 * probability, 1e-9);
   added(2, 2) = 0.0;
   EXPECT_LT(added.norm(), 1e-9);
+}
+
+TEST_F(CovarianceBudget, TermsHaveTheirNames) {
+  MirrorHypothesis mirror{.anchor = site_.fits[0].anchor, .cost_excess = 0.7};
+  mirror.anchor(2) = -1.0;
+  site_.evidence[0].mirror = mirror;
+  std::vector<std::string> names;
+  for (const BudgetTerm& term : covariance_budget(site_, 0, solved_)) names.emplace_back(term.name);
+  EXPECT_THAT(names, ::testing::ElementsAre("ranges", "reach of the ranges", "mirror side across the plane",
+                                            "frame of the poses"));
 }
 
 // What a wrong height does to the ranges, the biases make up for; not where x and y are weak.

@@ -514,6 +514,7 @@ TEST(Filter, PredictionSkipsInputsThatItWouldRefuse) {
                                      good[1],
                                      model::YawRateSample{0.06, testing::kNan},
                                      model::YawRateSample{testing::kNan, 0.0},
+                                     model::YawRateSample{std::numeric_limits<double>::infinity(), 0.1},
                                      model::YawRateSample{0.06, 90.0},
                                      good[2]};
   const Estimate expected = testing::predict(*filter, good);
