@@ -10,6 +10,7 @@
 
 #include <Eigen/Cholesky>
 
+#include "host/calibration/site_solver.hpp"
 #include "test/host/calibration/site_simulation.hpp"
 
 namespace groma::calibration {
