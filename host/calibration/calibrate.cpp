@@ -184,7 +184,7 @@ Result calibrate(const Drive& drive, const Options& options) {
   gather_anchor_evidence(site, result.fitted);
   // Mean and covariance of each anchor's part of x_s, and its verdict.
   for (std::size_t i = 0; i < site.fits.size(); ++i) {
-    const Eigen::MatrixXd covariance = total(covariance_budget(site, i, solved[i]));
+    const Eigen::MatrixXd covariance = covariance_budget(site, i, solved[i]).covariance;
     model::AnchorCalibration& anchor =
         result.calibration.anchors.emplace_back(describe(site, i, covariance, result.fitted[i]));
     judge_anchor(site.evidence[i], anchor);

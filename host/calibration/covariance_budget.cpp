@@ -45,15 +45,14 @@ constexpr double kNlosPlaces_m = 0.10;
 // degree of freedom, 99.9 %.
 constexpr double kHeightChiSquare = 10.8;
 
-// One anchor, its terms and their sum so far.
+// One anchor and its budget so far.
 struct Anchor {
   const Site& site;
   std::size_t index;
   const AnchorFit& fit;
   const AnchorEvidence& known;
   Eigen::Index tags;
-  Eigen::MatrixXd covariance;
-  std::vector<BudgetTerm> terms;
+  Budget budget;
 
   [[nodiscard]] bool surveyed() const noexcept { return fit.problem.position.surveyed; }
   // A survey's position does not depend on the ranges.
@@ -62,11 +61,11 @@ struct Anchor {
       more.topRows<3>().setZero();
       more.leftCols<3>().setZero();
     }
-    covariance += more;
-    terms.push_back({.name = name, .adds = std::move(more)});
+    budget.covariance += more;
+    budget.terms.push_back({.name = name, .adds = std::move(more)});
   }
   void add_to_position(const char* name, const Eigen::Matrix3d& more_m2) {
-    Eigen::MatrixXd more = Eigen::MatrixXd::Zero(covariance.rows(), covariance.cols());
+    Eigen::MatrixXd more = Eigen::MatrixXd::Zero(budget.covariance.rows(), budget.covariance.cols());
     more.topLeftCorner<3, 3>() = more_m2;
     add(name, std::move(more));
   }
@@ -75,8 +74,8 @@ struct Anchor {
 // A bias common to all betas, of this sigma, and the response of the other unknowns; and an error of the
 // position that differs from place to place.
 void add_bias(const char* name, double common_m, double position_m, Anchor& anchor) {
-  const Eigen::LDLT<Eigen::MatrixXd> biases(anchor.covariance.block(3, 3, anchor.tags, anchor.tags));
-  const Eigen::VectorXd response = common_m * anchor.covariance.middleCols(3, anchor.tags) *
+  const Eigen::LDLT<Eigen::MatrixXd> biases(anchor.budget.covariance.block(3, 3, anchor.tags, anchor.tags));
+  const Eigen::VectorXd response = common_m * anchor.budget.covariance.middleCols(3, anchor.tags) *
                                    biases.solve(Eigen::VectorXd::Ones(anchor.tags));
   if (response.allFinite()) anchor.add(name, response * response.transpose());
   anchor.add_to_position(name, square(position_m) * Eigen::Matrix3d::Identity());
@@ -87,7 +86,7 @@ void add_parts_of_drive(Anchor& anchor) {
   if (!anchor.site.has_los_states() && anchor.fit.inflation <= kCorrelatedInflation) return;
   const std::optional<Eigen::Matrix3d> jackknife = jackknife_covariance(anchor.fit);
   if (!jackknife) return;
-  const Eigen::Index size = anchor.covariance.rows();
+  const Eigen::Index size = anchor.budget.covariance.rows();
   const Eigen::MatrixXd expected = anchor_covariance(anchor.fit.evidence, anchor.fit.inflation);
   anchor.add("parts of the drive (jackknife)",
              excess_of_jackknife(*jackknife, expected.topLeftCorner(size, size)));
@@ -101,8 +100,8 @@ void add_reach(Anchor& anchor) {
   if (anchor.fit.problem.rows.empty() || anchor.surveyed()) return;
   const double sigma_m = kReachFactor * anchor.known.nearest_m;
   const Eigen::Matrix3d sum =
-      anchor.covariance.topLeftCorner<3, 3>() + square(sigma_m) * Eigen::Matrix3d::Identity();
-  const Eigen::MatrixXd by_position = anchor.covariance.leftCols<3>();
+      anchor.budget.covariance.topLeftCorner<3, 3>() + square(sigma_m) * Eigen::Matrix3d::Identity();
+  const Eigen::MatrixXd by_position = anchor.budget.covariance.leftCols<3>();
   const Eigen::MatrixXd less = by_position * sum.ldlt().solve(by_position.transpose());
   if (less.allFinite()) anchor.add("reach of the ranges", -0.5 * (less + less.transpose()));
 }
@@ -112,7 +111,7 @@ void add_nlos(Anchor& anchor) {
   const AnchorEvidence& known = anchor.known;
   if (known.los_states) {
     const double sigma_m = std::min(kMostMisjudged_m, kMisjudged_m * (1.0 - known.los_share));
-    Eigen::VectorXd variances = Eigen::VectorXd::Zero(anchor.covariance.rows());
+    Eigen::VectorXd variances = Eigen::VectorXd::Zero(anchor.budget.covariance.rows());
     variances.head<3>().setConstant(square(sigma_m));
     variances.segment(3, anchor.tags).setConstant(square(kMisjudgedBeta * sigma_m));
     anchor.add("NLOS ranges taken for LOS", variances.asDiagonal());
@@ -135,9 +134,10 @@ void add_mirror_across_plane(Anchor& anchor) {
   if (!anchor.known.mirror) return;
   constexpr const char* kName = "mirror side across the plane";
   const Eigen::Matrix3d moment_m2 = mirror_covariance(*anchor.known.mirror, anchor.fit);
-  const Eigen::Matrix3d position_m2 = anchor.covariance.topLeftCorner<3, 3>();
+  const Eigen::Matrix3d position_m2 = anchor.budget.covariance.topLeftCorner<3, 3>();
   if (horizontal_sigma_m(position_m2) > kWeakSigma_m) return anchor.add_to_position(kName, moment_m2);
-  const Eigen::MatrixXd response = position_m2.ldlt().solve(anchor.covariance.topRows<3>()).transpose();
+  const Eigen::MatrixXd response =
+      position_m2.ldlt().solve(anchor.budget.covariance.topRows<3>()).transpose();
   const Eigen::MatrixXd out = response * moment_m2 * response.transpose();
   if (!out.allFinite()) return anchor.add_to_position(kName, moment_m2);
   anchor.add(kName, 0.5 * (out + out.transpose()));
@@ -166,7 +166,7 @@ void add_height_of_beginning(Anchor& anchor) {
   }
   const double shift_m = anchor.fit.anchor(2) - first.anchor(2);
   const double variance_m2 =
-      std::max(2.0 * anchor.covariance(2, 2), anchor.known.held_out.height_variance_m2);
+      std::max(2.0 * anchor.budget.covariance(2, 2), anchor.known.held_out.height_variance_m2);
   if (!(square(shift_m) > kHeightChiSquare * variance_m2)) return;
   anchor.add_to_position("height by the drive's beginning",
                          Eigen::Vector3d(0.0, 0.0, square(shift_m)).asDiagonal());
@@ -181,8 +181,7 @@ void add_frame_of_poses(Anchor& anchor) {
 
 }  // namespace
 
-std::vector<BudgetTerm> covariance_budget(const Site& site, std::size_t index,
-                                          const Eigen::MatrixXd& solved) {
+Budget covariance_budget(const Site& site, std::size_t index, const Eigen::MatrixXd& solved) {
   const AnchorFit& fit = site.fits[index];
   const Eigen::Index size = excess_index(fit.problem.tag_count);
   Anchor anchor{.site = site,
@@ -190,8 +189,8 @@ std::vector<BudgetTerm> covariance_budget(const Site& site, std::size_t index,
                 .fit = fit,
                 .known = site.evidence[index],
                 .tags = static_cast<Eigen::Index>(fit.problem.tag_count),
-                .covariance = solved.topLeftCorner(size, size)};
-  anchor.terms.push_back({.name = "ranges", .adds = anchor.covariance});
+                .budget = {.covariance = solved.topLeftCorner(size, size)}};
+  anchor.budget.terms.push_back({.name = "ranges", .adds = anchor.budget.covariance});
   // The order matters: reach, NLOS and heights depend on the sum of the terms before.
   add_parts_of_drive(anchor);
   add_reach(anchor);
@@ -200,13 +199,7 @@ std::vector<BudgetTerm> covariance_budget(const Site& site, std::size_t index,
   add_mirror_across_line(anchor);
   add_height_of_beginning(anchor);
   add_frame_of_poses(anchor);
-  return std::move(anchor.terms);
-}
-
-Eigen::MatrixXd total(const std::vector<BudgetTerm>& budget) {
-  Eigen::MatrixXd out = budget.front().adds;
-  for (std::size_t i = 1; i < budget.size(); ++i) out += budget[i].adds;
-  return out;
+  return std::move(anchor.budget);
 }
 
 }  // namespace groma::calibration

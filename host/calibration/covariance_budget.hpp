@@ -16,10 +16,13 @@ struct BudgetTerm {
   Eigen::MatrixXd adds;
 };
 
-// Terms of one anchor that apply; their sum is its covariance. The first is `solved`, the covariance by
-// ranges, drive error and links, without the NLOS excesses.
-[[nodiscard]] std::vector<BudgetTerm> covariance_budget(const Site& site, std::size_t index,
-                                                        const Eigen::MatrixXd& solved);
-[[nodiscard]] Eigen::MatrixXd total(const std::vector<BudgetTerm>& budget);
+struct Budget {
+  std::vector<BudgetTerm> terms;  // that apply
+  Eigen::MatrixXd covariance;     // their sum
+};
+
+// Of one anchor. The first term is `solved`, the covariance by ranges, drive error and links, without the
+// NLOS excesses.
+[[nodiscard]] Budget covariance_budget(const Site& site, std::size_t index, const Eigen::MatrixXd& solved);
 
 }  // namespace groma::calibration

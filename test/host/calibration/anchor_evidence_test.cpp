@@ -9,6 +9,7 @@
 
 #include "host/calibration/calibrate.hpp"
 #include "host/calibration/site.hpp"
+#include "host/calibration/verdict.hpp"
 #include "test/support/random.hpp"
 
 namespace groma::calibration {

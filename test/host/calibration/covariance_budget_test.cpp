@@ -35,7 +35,7 @@ class CovarianceBudget : public ::testing::Test {
     evidence.nearest_m = kNearest_m;
     evidence.los_share = 0.95;
   }
-  [[nodiscard]] Eigen::MatrixXd budget() const { return total(covariance_budget(site_, 0, solved_)); }
+  [[nodiscard]] Eigen::MatrixXd budget() const { return covariance_budget(site_, 0, solved_).covariance; }
 
   std::vector<Observation> rows_{100};
   Site site_;
@@ -73,7 +73,7 @@ TEST_F(CovarianceBudget, TermsHaveTheirNames) {
   mirror.anchor(2) = -1.0;
   site_.evidence[0].mirror = mirror;
   std::vector<std::string> names;
-  for (const BudgetTerm& term : covariance_budget(site_, 0, solved_)) names.emplace_back(term.name);
+  for (const BudgetTerm& term : covariance_budget(site_, 0, solved_).terms) names.emplace_back(term.name);
   EXPECT_THAT(names, ::testing::ElementsAre("ranges", "reach of the ranges", "mirror side across the plane",
                                             "frame of the poses"));
 }

@@ -1,3 +1,5 @@
+#include "host/calibration/shared_unknowns.hpp"
+
 #include <gtest/gtest.h>
 
 #include <cmath>
