@@ -5,6 +5,8 @@
 #include <algorithm>
 #include <bit>
 #include <cmath>
+#include <string_view>
+#include <tuple>
 #include <utility>
 
 namespace groma::daemon {
@@ -49,7 +51,14 @@ void Session::Node::on_range(const model::RangeSample& range) {
 }
 
 void Session::Node::on_hello(const groma_Hello& hello) {
+  // A node says it when it starts, and again when gromad asks. Boot 0: it could not be counted.
+  const auto shown = [](const groma_Hello& of) {
+    return std::tuple(of.id, of.boot_count, std::string_view(of.radio_error),
+                      std::string_view(of.radio_warning));
+  };
+  const bool is_said = hello_ && hello.boot_count != 0 && shown(*hello_) == shown(hello);
   hello_ = hello;
+  if (is_said) return;
   const char* radio = hello.radio_error[0] != '\0' ? hello.radio_error : hello.radio_warning;
   session_.say(fmt::format("{}: node {} runs version {}, reset reason {}{}{}", name_, hello.id, hello.version,
                            link::number_in(hello.reset_reason), radio[0] != '\0' ? "; radio: " : "", radio));

@@ -415,6 +415,17 @@ TEST(Session, KeepsAndLogsMessagesOfNodes) {
                                           testing::HasSubstr("tag-1: no beacon")));
 }
 
+TEST(Session, LogsTheVersionOfANodeOncePerBoot) {
+  std::vector<std::string> lines;
+  Site site({.log = [&](std::string_view text) { lines.emplace_back(text); }});
+  groma_NodeToHost hello = link::test::make_hello(3, "0.1.0");
+  for (const std::uint32_t boot : {7U, 7U, 8U, 0U, 0U}) {
+    hello.body.hello.boot_count = boot;
+    site.session.node_bytes(site.tag, frame_of(hello), 1.0);
+  }
+  EXPECT_EQ(lines.size(), 4U);
+}
+
 // The result does not depend on how the bytes are cut into pieces.
 TEST(Session, TheResultDoesNotDependOnHowBytesAreCut) {
   std::vector<std::vector<model::RangeSample>> results;
