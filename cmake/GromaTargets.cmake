@@ -41,7 +41,9 @@ if(GROMA_SANITIZE)
   if(GROMA_SANITIZE_NOT)
     target_compile_options(groma_build_options INTERFACE -fno-sanitize=${GROMA_SANITIZE_NOT})
   endif()
-  target_link_options(groma_build_options INTERFACE -fsanitize=${GROMA_SANITIZE})
+  # Not position-independent: a program starts in half of the time.
+  target_compile_options(groma_build_options INTERFACE -fno-pie)
+  target_link_options(groma_build_options INTERFACE -fsanitize=${GROMA_SANITIZE} -no-pie)
 endif()
 target_include_directories(groma_build_options INTERFACE ${CMAKE_SOURCE_DIR})
 # About 60 programs: lld links them in a third of the time.
@@ -50,26 +52,33 @@ if(GROMA_LLD AND NOT GROMA_BARE_METAL)
   target_link_options(groma_build_options INTERFACE -fuse-ld=lld)
 endif()
 
-# For the estimators and for tests: little but Eigen casts pointers there, and Eigen asserts their alignment itself.
-# A check of each access takes a sixth of their sanitized build.
-add_library(groma_estimator_options INTERFACE)
+# For host/ and for tests: pointers are cast to bytes and to sockaddr there, and by Eigen, which asserts their
+# alignment itself. A check of each access takes a sixth to a quarter of their sanitized build.
+add_library(groma_host_options INTERFACE)
 if(GROMA_SANITIZE_NOT)
-  target_compile_options(groma_estimator_options INTERFACE -fno-sanitize=alignment)
+  target_compile_options(groma_host_options INTERFACE -fno-sanitize=alignment)
 endif()
+function(groma_use_build_options target)
+  target_link_libraries(${target} PRIVATE $<BUILD_INTERFACE:groma_build_options>)
+  if(CMAKE_CURRENT_SOURCE_DIR MATCHES "^${CMAKE_SOURCE_DIR}/host/")
+    target_link_libraries(${target} PRIVATE $<BUILD_INTERFACE:groma_host_options>)
+  endif()
+endfunction()
 
-# For tests, which take longer to build than to run; at -O0 half as long as at -O1. The linker may take a test's
-# instance of a template for the libraries too: tests of estimators would take ten times as long at -O0. At -O1
-# GCC 12 wrongly assumes that Eigen's dynamic matrices are null.
+# For tests, which take longer to build than to run. At -O1 GCC 12 wrongly assumes that Eigen's dynamic matrices
+# are null.
 add_library(groma_test_options INTERFACE)
-target_compile_options(groma_test_options INTERFACE "$<$<CONFIG:Release>:-g0>" -Wno-null-dereference)
-target_link_libraries(groma_test_options INTERFACE groma_estimator_options)
-add_library(groma_optimized_test_options INTERFACE)
-target_compile_options(groma_optimized_test_options INTERFACE "$<$<CONFIG:Release>:-O1>")
-add_library(groma_plain_test_options INTERFACE)
-target_compile_options(groma_plain_test_options INTERFACE $<IF:$<BOOL:${GROMA_BARE_METAL}>,-O1,-O0>)
-foreach(options groma_optimized_test_options groma_plain_test_options)
-  target_link_libraries(${options} INTERFACE groma_test_options)
-endforeach()
+target_compile_options(
+  groma_test_options
+  INTERFACE
+    "$<$<CONFIG:Release>:-g0>"
+    -Wno-null-dereference
+)
+target_link_libraries(groma_test_options INTERFACE groma_host_options)
+add_library(groma_unoptimized INTERFACE)
+target_compile_options(groma_unoptimized INTERFACE $<IF:$<BOOL:${GROMA_BARE_METAL}>,-O1,-O0>)
+add_library(groma_little_optimized INTERFACE)
+target_compile_options(groma_little_optimized INTERFACE "$<$<CONFIG:Release>:-O1>")
 
 # For targets in which GCC 12 warns that Eigen's dynamic matrices are null after a failed allocation.
 add_library(groma_dynamic_eigen INTERFACE)
@@ -101,6 +110,10 @@ function(groma_prefer_their_instances target)
     target_link_options(${target} PRIVATE "SHELL:-Wl,--whole-archive${first} -Wl,--no-whole-archive")
   endif()
 endfunction()
+# EVAL: the name now, the call at the end.
+function(groma_prefer_their_instances_at_end target)
+  cmake_language(EVAL CODE "cmake_language(DEFER DIRECTORY \"${CMAKE_SOURCE_DIR}\" CALL groma_prefer_their_instances ${target})")
+endfunction()
 # Under a sanitizer.
 function(groma_compile_unoptimized target)
   if(NOT GROMA_SANITIZE)
@@ -110,8 +123,7 @@ function(groma_compile_unoptimized target)
   set_target_properties(${target} PROPERTIES GROMA_UNOPTIMIZED ON)
   get_target_property(type ${target} TYPE)
   if(type STREQUAL EXECUTABLE)
-    # EVAL: the name now, the call at the end.
-    cmake_language(EVAL CODE "cmake_language(DEFER DIRECTORY \"${CMAKE_SOURCE_DIR}\" CALL groma_prefer_their_instances ${target})")
+    groma_prefer_their_instances_at_end(${target})
   endif()
 endfunction()
 
@@ -122,7 +134,8 @@ function(groma_library)
   cmake_parse_arguments(arg "APART;UNOPTIMIZED" "NAME" "SOURCES;DEPENDS" ${ARGN})
   if(arg_SOURCES)
     add_library(${arg_NAME} STATIC ${arg_SOURCES})
-    target_link_libraries(${arg_NAME} PRIVATE $<BUILD_INTERFACE:groma_build_options> PUBLIC ${arg_DEPENDS})
+    groma_use_build_options(${arg_NAME})
+    target_link_libraries(${arg_NAME} PUBLIC ${arg_DEPENDS})
     if(arg_UNOPTIMIZED)
       groma_compile_unoptimized(${arg_NAME})
     endif()
@@ -141,7 +154,8 @@ endfunction()
 function(groma_executable)
   cmake_parse_arguments(arg "UNOPTIMIZED" "NAME" "SOURCES;DEPENDS" ${ARGN})
   add_executable(${arg_NAME} ${arg_SOURCES})
-  target_link_libraries(${arg_NAME} PRIVATE groma_build_options ${arg_DEPENDS})
+  groma_use_build_options(${arg_NAME})
+  target_link_libraries(${arg_NAME} PRIVATE ${arg_DEPENDS})
   if(arg_UNOPTIMIZED)
     groma_compile_unoptimized(${arg_NAME})
   endif()
@@ -155,8 +169,7 @@ endfunction()
 # separate CTest test. SLOW: `scripts/test --quick` leaves it out. STATISTICS: the program does not run under
 # a sanitizer, nor do cases named OverMany, because many drives execute no other code than one. UNSANITIZED:
 # under a sanitizer the program runs only with GROMA_LONG_TESTS, as do the cases that match GROMA_UNSANITIZED,
-# and in QEMU those that match UNEMULATED. OPTIMIZED, but not under a sanitizer: the program would otherwise
-# take longer to run than it saves to build.
+# and in QEMU those that match UNEMULATED. OPTIMIZED, but not under a sanitizer: the test itself computes much.
 function(groma_test)
   cmake_parse_arguments(arg "STATISTICS;SLOW;UNSANITIZED;OPTIMIZED" "NAME;TIMEOUT;SHARDS;LONG;UNEMULATED" "SOURCES;DEPENDS;DEFINITIONS;LABELS" ${ARGN})
   if(("long" IN_LIST arg_LABELS AND NOT GROMA_LONG_TESTS) OR (arg_STATISTICS AND GROMA_SANITIZE)
@@ -181,15 +194,16 @@ function(groma_test)
   set(support ${arg_SOURCES})
   list(FILTER support INCLUDE REGEX "/test/support/")
   set_source_files_properties(${support} PROPERTIES SKIP_UNITY_BUILD_INCLUSION ON)
-  set(kind plain)
+  target_link_libraries(${arg_NAME} PRIVATE groma_build_options groma_test_options ${arg_DEPENDS} GTest::gtest GTest::gmock GTest::gtest_main)
   if(arg_OPTIMIZED AND NOT GROMA_SANITIZE)
-    set(kind optimized)
+    target_link_libraries(${arg_NAME} PRIVATE groma_little_optimized)
+  else()
+    target_link_libraries(${arg_NAME} PRIVATE groma_unoptimized)
   endif()
-  target_link_libraries(${arg_NAME} PRIVATE groma_build_options groma_${kind}_test_options ${arg_DEPENDS} GTest::gtest GTest::gmock GTest::gtest_main)
   target_compile_definitions(${arg_NAME} PRIVATE ${arg_DEFINITIONS})
-  groma_compile_unoptimized(${arg_NAME})
-  if(TARGET groma_${kind}_test_headers)
-    target_precompile_headers(${arg_NAME} REUSE_FROM groma_${kind}_test_headers)
+  if(NOT GROMA_BARE_METAL AND (NOT arg_OPTIMIZED OR GROMA_SANITIZE))
+    groma_prefer_their_instances_at_end(${arg_NAME})
+    target_precompile_headers(${arg_NAME} REUSE_FROM groma_test_headers)
   endif()
   set(left_out "")
   if(GROMA_SANITIZE)

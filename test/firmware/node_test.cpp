@@ -124,17 +124,17 @@ struct FakePlatform : FakeHost {
   std::size_t transmissions() override { return commands(0x2); }
   void end_listening() override { chip.status |= kFrameTimeout; }
   bool is_loaded() override {
-    const auto writes = chip.writes();
-    const auto last = std::find_if(writes.rbegin(), writes.rend(),
-                                   [](const Transfer& t) { return t.file == 0x09 || t.file == 0x0D; });
-    return last != writes.rend() && last->file == 0x09;
+    const auto last = std::find_if(chip.log.rbegin(), chip.log.rend(), [](const Transfer& t) {
+      return t.write && (t.file == 0x09 || t.file == 0x0D);
+    });
+    return last != chip.log.rend() && last->file == 0x09;
   }
 
  private:
   std::size_t commands(std::uint64_t bits) {
     std::size_t n = 0;
-    for (const Transfer& t : chip.writes()) {
-      if (t.file == 0x0D && (t.word() & bits) != 0) ++n;
+    for (const Transfer& t : chip.log) {
+      if (t.write && t.file == 0x0D && (t.word() & bits) != 0) ++n;
     }
     return n;
   }

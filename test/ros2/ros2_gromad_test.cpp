@@ -154,8 +154,8 @@ TEST_F(Ros2Test, StartsAgainAtAnInitialPose) {
       if (object.at("class") != "POSE") continue;
       const auto truth = SimulatedSite::truth(object.at("t_s").get<double>() - site.robot_clock_s);
       // It drives on while the message is on its way.
-      if (std::hypot(object.at("x_m").get<double>() - truth.x_m,
-                     object.at("y_m").get<double>() - truth.y_m) > 1.0)
+      if (std::hypot(object.at("x_m").get<double>() - truth.x_m, object.at("y_m").get<double>() - truth.y_m) >
+          1.0)
         return true;
     }
     return false;

@@ -72,7 +72,7 @@ class MistakeWatchTest : public ::testing::Test {
   int ticks_ = 0;
 };
 
-TEST_F(MistakeWatchTest, NamesWhatTwoSearchesFindAndLogsItOnce) {
+TEST_F(MistakeWatchTest, NamesWhatTwoSearchesFindLogsItOnceAndForgetsItWithTheClock) {
   speed_scale_ = 1.2;
   drive(MistakeWatch::kLeast_s - 5.0);
   service(200.0);
@@ -81,12 +81,6 @@ TEST_F(MistakeWatchTest, NamesWhatTwoSearchesFindAndLogsItOnce) {
   EXPECT_NEAR(watch_.findings().front().value.front(), 1.2, 0.02);
   ASSERT_EQ(watch_.take_news().size(), 1U);
   EXPECT_TRUE(watch_.take_news().empty());
-}
-
-TEST_F(MistakeWatchTest, ForgetsWhenTheClockIsSet) {
-  speed_scale_ = 1.2;
-  drive(100.0);
-  ASSERT_TRUE(names("odometry-scale"));
   watch_.on_clock_set();
   EXPECT_TRUE(watch_.findings().empty());
 }
