@@ -74,6 +74,9 @@ target_compile_options(
     "$<$<CONFIG:Release>:-g0>"
     -Wno-null-dereference
 )
+if(GROMA_SANITIZE_NOT)
+  target_compile_options(groma_test_options INTERFACE -g0)
+endif()
 target_link_libraries(groma_test_options INTERFACE groma_host_options)
 add_library(groma_unoptimized INTERFACE)
 target_compile_options(groma_unoptimized INTERFACE $<IF:$<BOOL:${GROMA_BARE_METAL}>,-O1,-O0>)
