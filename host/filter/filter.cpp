@@ -373,6 +373,7 @@ void Filter::exchange(int slot, int anchor) noexcept {
   now_.covariance.augment(site_.anchor(anchor), slot, back, faded, now_.parameters);
   now_.gate.renew(slot, now_.t_s);
   now_.slip_watch.renew(slot);
+  now_.tuning.renew(slot);
 }
 
 void Filter::restore(const Snapshot& snapshot) noexcept {

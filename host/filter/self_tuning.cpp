@@ -66,6 +66,10 @@ void RangeTuning::observe(int anchor, int tag, double t_s, double innovation_m, 
   }
 }
 
+void RangeTuning::renew(int slot) noexcept {
+  for (int tag = 0; tag < kMaxTags; ++tag) last_[pair_at(slot, tag)] = {};
+}
+
 void OdometryTuning::observe(const model::OdometrySample& sample) noexcept {
   const double gap_s = rows_ > 0 ? sample.t_s - last_[0].t_s : 0.0;
   bool even = rows_ == last_.size() && gap_s <= kMaxGap_s;

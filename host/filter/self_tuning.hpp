@@ -21,6 +21,8 @@ class RangeTuning {
   void observe(int anchor, int tag, double t_s, double innovation_m, double variance_m2) noexcept;
   // Forgets the pairs' last innovations; the noise estimates stay.
   void reset() noexcept { last_.fill({}); }
+  // Forgets those of a slot's pairs: another anchor is active there.
+  void renew(int slot) noexcept;
 
   [[nodiscard]] double white_sigma_m() const noexcept { return white_sigma_m_; }
   // Factor on the sigma of the slow range bias.

@@ -250,6 +250,16 @@ TEST(RangeTuning, FindsTheWhiteSigmaDespiteSlowBiasAndNlos) {
   }
 }
 
+TEST(RangeTuning, DoesNotCompareRangesOfTwoAnchorsInASlot) {
+  constexpr double kNominal_m = 0.1;
+  RangeTuning tuning(kNominal_m);
+  for (int i = 0; i < 100; ++i) {
+    tuning.observe(0, 0, 0.1 * i, i % 2 == 0 ? -1.0 : 0.1, 0.01);
+    tuning.renew(0);
+  }
+  EXPECT_EQ(tuning.white_sigma_m(), kNominal_m);
+}
+
 TEST(RangeTuning, ASigmaThatIsWrongByThreeCostsLittleOverManyDrives) {
   expect_little_cost(0.01, 2.5, [](Config& config, double factor) { config.range_sigma_m *= factor; });
 }
