@@ -424,8 +424,12 @@ Estimate Filter::estimate(const Prediction& prediction) const noexcept {
   if (now.has_sample) {
     const BodyVelocity velocity = body_velocity(now.core, now.odometry);
     out.velocity = velocity.value;
+    constexpr int kErrors = kCoreSize - kScale;  // the velocity does not depend on the pose
+    const auto d_errors = velocity.d_core.rightCols<kErrors>();
     const Eigen::Matrix3d spread =
-        velocity.d_core.lazyProduct(covariance.core()).eval().lazyProduct(velocity.d_core.transpose());
+        d_errors.lazyProduct(covariance.core().bottomRightCorner<kErrors, kErrors>())
+            .eval()
+            .lazyProduct(d_errors.transpose());
     out.velocity_covariance = 0.5 * (spread + spread.transpose());
   }
   if (!(delays_.odometry_share() > 0.0)) return out;
