@@ -367,7 +367,7 @@ TEST_F(LiveSite, EndsGromadWithIt) {
   for (const int signal_number : {SIGTERM, SIGINT, SIGKILL}) {
     Child child(arguments(), scratch_ / "errors");
     ASSERT_TRUE(wait_for([&] { return is_served(); }, 30.0)) << errors();
-    EXPECT_THAT(errors(), HasSubstr("live page"));
+    EXPECT_TRUE(wait_for([&] { return errors().find("live page") != std::string::npos; }, 10.0)) << errors();
     child.signal(signal_number);
     EXPECT_EQ(child.exit_code(), signal_number == SIGKILL ? -1 : 0) << errors();
     EXPECT_TRUE(wait_for([&] { return page_at(port_).empty(); }, 10.0)) << signal_number;
