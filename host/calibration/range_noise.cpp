@@ -12,33 +12,37 @@
 namespace groma::calibration {
 namespace {
 
-// Lag bins, each from its own value to the next: from a usual interval of ranges on, doubled. Unless stated,
-// the constants are by hand; the RangeNoise tests hold with them (times of 0.7 and 4 s).
-constexpr std::array kLags_s{0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4, 12.8};
-constexpr std::size_t kLags = kLags_s.size() - 1;
+// Lag bins, each from its own value to the next: from half a wavelength on, doubled. Unless stated, the
+// constants are by hand; the RangeNoise tests hold with them (lengths of 0.3 and 4 m).
+constexpr std::array kLags_m{0.025, 0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4};
+constexpr std::size_t kLags = kLags_m.size() - 1;
 constexpr std::size_t kFewPairs = 3;
 constexpr std::size_t kFewRows = 50;
 constexpr double kFewProducts = 30.0;  // a covariance of white residuals: sigma 1/sqrt(30) of the variance
 // Residuals beyond this many robust sigmas of their pair are not LOS: 6e-5 by chance (normal, two-sided).
 constexpr double kWithin = 4.0;
-// Correlation times to try, each longer than the one before by the factor kLonger.
-constexpr double kShortest_s = 0.2;
-constexpr double kLongest_s = 20.0;
+// Correlation lengths to try, each longer than the one before by the factor kLonger.
+constexpr double kShortest_m = 0.02;
+constexpr double kLongest_m = 20.0;
 constexpr double kLonger = 1.1;
 // A correlated or white part below this share of the whole variance cannot be distinguished from none.
 constexpr double kLeastShare = 0.05;
 
 struct Residual {
-  double t_s = 0.0;
+  double way_m = 0.0;  // of the antenna so far
   double value_m = 0.0;
 };
 
 std::vector<Residual> los_residuals(const AnchorFit& fit, std::size_t tag) {
   std::vector<Residual> out;
+  const Observation* last = nullptr;
+  double way_m = 0.0;
   for (const Observation& row : fit.problem.rows) {
     if (row.tag != tag) continue;
+    if (last != nullptr) way_m += row.velocity_mps.norm() * (row.t_s - last->t_s);
+    last = &row;
     const RowAt at = row_at(fit, row);
-    if (at.value.los_count >= 0.5) out.push_back({row.t_s, at.residual_m});
+    if (at.value.los_count >= 0.5) out.push_back({way_m, at.residual_m});
   }
   if (out.size() < kFewRows) return {};
   std::vector<double> values;
@@ -60,24 +64,24 @@ std::vector<Residual> los_residuals(const AnchorFit& fit, std::size_t tag) {
 struct Covariances {
   std::vector<double> variance_m2;
   std::array<std::vector<double>, kLags> by_lag_m2;
-  std::array<std::vector<double>, kLags> lag_s;  // mean lag in the bin
+  std::array<std::vector<double>, kLags> lag_m;  // mean lag in the bin
 };
 
 void add(const std::vector<Residual>& residuals, Covariances& out) {
   double variance = 0.0;
   std::array<double, kLags> sums{};
-  std::array<double, kLags> lags_s{};
+  std::array<double, kLags> lags_m{};
   std::array<double, kLags> counts{};
   for (std::size_t i = 0; i < residuals.size(); ++i) {
     variance += residuals[i].value_m * residuals[i].value_m;
     // One partner per lag bin, the first in it: each residual counts the same.
     std::size_t j = i + 1;
     for (std::size_t lag = 0; lag < kLags; ++lag) {
-      while (j < residuals.size() && residuals[j].t_s - residuals[i].t_s < kLags_s[lag]) ++j;
+      while (j < residuals.size() && residuals[j].way_m - residuals[i].way_m < kLags_m[lag]) ++j;
       if (j == residuals.size()) break;
-      if (residuals[j].t_s - residuals[i].t_s >= kLags_s[lag + 1]) continue;
+      if (residuals[j].way_m - residuals[i].way_m >= kLags_m[lag + 1]) continue;
       sums[lag] += residuals[i].value_m * residuals[j].value_m;
-      lags_s[lag] += residuals[j].t_s - residuals[i].t_s;
+      lags_m[lag] += residuals[j].way_m - residuals[i].way_m;
       counts[lag] += 1.0;
     }
   }
@@ -85,7 +89,7 @@ void add(const std::vector<Residual>& residuals, Covariances& out) {
   for (std::size_t lag = 0; lag < kLags; ++lag) {
     if (counts[lag] < kFewProducts) continue;
     out.by_lag_m2[lag].push_back(sums[lag] / counts[lag]);
-    out.lag_s[lag].push_back(lags_s[lag] / counts[lag]);
+    out.lag_m[lag].push_back(lags_m[lag] / counts[lag]);
   }
 }
 
@@ -103,20 +107,20 @@ std::optional<model::RangeNoise> range_noise(std::span<const AnchorFit> fits) {
   if (model::is_ablated(model::Mechanism::kCalibrationRangeNoise)) return std::nullopt;
   const double whole_m2 = median(pairs.variance_m2);
 
-  // Least-squares fit of variance exp(-lag / time) to the medians: for each time the best variance.
+  // Least-squares fit of variance exp(-lag / length) to the medians: for each length the best variance.
   std::vector<std::array<double, 2>> points;
   for (std::size_t lag = 0; lag < kLags; ++lag) {
     if (pairs.by_lag_m2[lag].size() < kFewPairs) continue;
-    points.push_back({median(pairs.lag_s[lag]), median(pairs.by_lag_m2[lag])});
+    points.push_back({median(pairs.lag_m[lag]), median(pairs.by_lag_m2[lag])});
   }
   double best = 0.0;
   double slow_m2 = 0.0;
-  double time_s = kShortest_s;
-  for (double time = kShortest_s; time < kLongest_s; time *= kLonger) {
+  double length_m = kShortest_m;
+  for (double tried_m = kShortest_m; tried_m < kLongest_m; tried_m *= kLonger) {
     double product = 0.0;
     double square = 0.0;
-    for (const auto& [lag_s, covariance_m2] : points) {
-      const double shape = std::exp(-lag_s / time);
+    for (const auto& [lag_m, covariance_m2] : points) {
+      const double shape = std::exp(-lag_m / tried_m);
       product += shape * covariance_m2;
       square += shape * shape;
     }
@@ -124,14 +128,14 @@ std::optional<model::RangeNoise> range_noise(std::span<const AnchorFit> fits) {
     if (product > 0.0 && product * product / square > best) {
       best = product * product / square;
       slow_m2 = product / square;
-      time_s = time;
+      length_m = tried_m;
     }
   }
   slow_m2 = std::min(slow_m2, (1.0 - kLeastShare) * whole_m2);
   if (slow_m2 < kLeastShare * whole_m2) slow_m2 = 0.0;
   return model::RangeNoise{.white_sigma_m = std::sqrt(whole_m2 - slow_m2),
                            .bias_sigma_m = std::sqrt(slow_m2),
-                           .bias_time_s = time_s};
+                           .bias_length_m = length_m};
 }
 
 }  // namespace groma::calibration

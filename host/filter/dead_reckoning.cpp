@@ -163,13 +163,14 @@ template <class Covariance>
 void DeadReckoning<Covariance>::step(double dt_s) noexcept {
   const Motion motion = move(surface, now.core, now.odometry, dt_s, now.chart);
   const model::SurfaceMismatch& mismatch = surface.mismatch(now.chart);
-  const double way_m = mismatch.is_any() ? (motion.pose.head<2>() - now.core.head<2>()).norm() : 0.0;
+  const double way_m = (motion.pose.head<2>() - now.core.head<2>()).norm();
   now.core.segment<3>(kX) = motion.pose;
   now.core(kTheta) = model::wrap_angle(now.core(kTheta));
   covariance.propagate(motion.d_core);
   now.t_s += dt_s;
-  if (bias_time_s > 0.0) covariance.fade_range_biases(std::exp(-dt_s / bias_time_s));
-  if (way_m > 0.0) covariance.fade_ground(std::exp(-way_m / mismatch.length_m));
+  now.way_m += way_m;
+  if (way_m > 0.0 && bias_length_m > 0.0) covariance.fade_range_biases(std::exp(-way_m / bias_length_m));
+  if (way_m > 0.0 && mismatch.is_any()) covariance.fade_ground(std::exp(-way_m / mismatch.length_m));
   follow_chart();
 
   // A sample held for longer than hold_s: its velocity error becomes a random walk.

@@ -86,7 +86,8 @@ struct MotionState {
   double hold_s;  // for how long the velocity of `odometry` is trusted: max_hold_s, or until the first
                   // implausible sample after it
   double t_s = 0.0;
-  int chart = 0;  // of the surface
+  double way_m = 0.0;  // driven so far, horizontally
+  int chart = 0;       // of the surface
 };
 
 // An input that propagates the state.
@@ -98,8 +99,8 @@ template <class Covariance>
 struct DeadReckoning {
   const model::Surface& surface;
   const Config& config;
-  double bias_time_s;  // time constant of the slow range bias; 0: there is none
-  const Gate* gate;    // the pose covariance grows while it suspects divergence; null: ignored
+  double bias_length_m;  // correlation length of the slow range bias; 0: there is none
+  const Gate* gate;      // the pose covariance grows while it suspects divergence; null: ignored
   MotionState& now;
   Covariance& covariance;
 

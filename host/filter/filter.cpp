@@ -32,7 +32,6 @@ model::Calibration on_another_drive(model::Calibration calibration, const Config
   if (model::is_ablated(Mechanism::kOtherDrive)) return calibration;
   if (calibration.range_noise) {
     calibration.range_noise->bias_sigma_m *= config.range_bias_growth;
-    calibration.range_noise->bias_time_s *= config.range_bias_time_growth;
   }
   if (calibration.range_delay_sigma_s > 0.0) {
     calibration.range_delay_sigma_s = std::hypot(calibration.range_delay_sigma_s, kRangeDelayChange_s);
@@ -71,7 +70,7 @@ Filter::Filter(model::Surface surface, std::span<const model::Tag> tags, const C
       delays_{config.range_delay_s, config.range_delay_sigma_s, config.odometry_delay_sigma_s},
       now_(begin(site_, config, white_sigma_m(here, config))) {
   if (here.range_noise && here.range_noise->bias_sigma_m > 0.0)
-    range_bias_time_s_ = here.range_noise->bias_time_s;
+    range_bias_length_m_ = here.range_noise->bias_length_m;
   if (here.range_delay_sigma_s > 0.0) {
     delays_.range_s = here.range_delay_s;
     delays_.range_sigma_s = here.range_delay_sigma_s;
@@ -266,7 +265,7 @@ void Filter::tune(const PairPlace& pair, const RangeResult& result) noexcept {
   const double before = now_.tuning.range_bias_scale();
   now_.tuning.observe(pair.slot, pair.tag, now_.t_s, result.innovation_m, result.innovation_variance_m2);
   const double change = now_.tuning.range_bias_scale() / before;
-  if (range_bias_time_s_ > 0.0 && change != 1.0) now_.covariance.scale_range_biases(change);
+  if (range_bias_length_m_ > 0.0 && change != 1.0) now_.covariance.scale_range_biases(change);
 }
 
 void Filter::add(const CoreVector& change) noexcept {
@@ -355,7 +354,7 @@ void Filter::exchange(int slot, int anchor) noexcept {
   record.before = left;
   now_.covariance.marginalize(now_.parameters, slot, left);
   left.left = number;
-  left.t_s = now_.t_s;
+  left.way_m = now_.way_m;
   record.absence = now_.covariance.take_absence();
 
   AnchorMemory back = memories_[static_cast<std::size_t>(anchor)];
@@ -366,7 +365,8 @@ void Filter::exchange(int slot, int anchor) noexcept {
       back.cross = back.cross.lazyProduct(at(i).absence).eval();
     }
   }
-  const double faded = range_bias_time_s_ > 0.0 ? std::exp(-(now_.t_s - back.t_s) / range_bias_time_s_) : 1.0;
+  const double faded =
+      range_bias_length_m_ > 0.0 ? std::exp(-(now_.way_m - back.way_m) / range_bias_length_m_) : 1.0;
   const AnchorVector& values =
       back.was_active && back.values.size() > 0 ? back.values : site_.anchor(anchor).values;
   now_.parameters.exchange(slot, anchor, values);
@@ -396,7 +396,7 @@ Filter::Prediction Filter::prediction() const noexcept {
 void Filter::carry(Prediction& prediction, const MotionInput& input) const noexcept {
   MotionState& then = prediction.motion;
   const Gate* const gate = prediction.by_odometry_alone ? nullptr : &now_.gate;
-  DeadReckoning<CoreCovariance> motion{surface_, config_, range_bias_time_s_,
+  DeadReckoning<CoreCovariance> motion{surface_, config_, range_bias_length_m_,
                                        gate,     then,    prediction.covariance};
   if (const auto* sample = std::get_if<model::OdometrySample>(&input)) {
     if (!model::is_finite(*sample) || (then.has_sample && !(sample->t_s > then.odometry.t_s))) return;

@@ -238,7 +238,7 @@ class Filter {
   SensorResult correct(std::size_t sensor, const CoreMeasurement<kSize>& measurement) noexcept;
   void add(const CoreVector& change) noexcept;
   [[nodiscard]] DeadReckoning<JointCovariance> motion() noexcept {
-    return {surface_, config_, range_bias_time_s_, &now_.gate, now_, now_.covariance};
+    return {surface_, config_, range_bias_length_m_, &now_.gate, now_, now_.covariance};
   }
   // The slot whose anchor was silent longest; -1 if none was silent for silent_s.
   [[nodiscard]] int free_slot(double t_s) const noexcept;
@@ -256,7 +256,7 @@ class Filter {
   Site site_;
   Config config_;
   LinkDelays delays_;
-  double range_bias_time_s_ = 0.0;  // 0: no slow range bias
+  double range_bias_length_m_ = 0.0;  // 0: no slow range bias
   Snapshot now_;
   std::vector<AnchorMemory> memories_;  // of each anchor of the site; empty if all are active
   std::vector<Exchange> exchanges_;     // ring buffer; empty if all are active

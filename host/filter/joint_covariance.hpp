@@ -77,7 +77,7 @@ struct Projected {
 struct AnchorMemory {
   bool was_active = false;
   std::size_t left = 0;  // number of the exchange that removed it
-  double t_s = 0.0;      // time of that exchange
+  double way_m = 0.0;    // driven until that exchange
   // If parameters are considered: its cross-covariance with the core.
   Eigen::Matrix<double, Eigen::Dynamic, kCoreSize, Eigen::ColMajor, kMaxAnchorSize, kCoreSize> cross;
   // If it is estimated: its values and those of the common parameters, its regression on these, and its

@@ -28,6 +28,8 @@ constexpr std::array<std::string_view, 3> kVerdicts{"usable", "warnings", "unusa
 
 // Relative tolerance: a file edited by hand may be inconsistent by rounding.
 constexpr double kAgreement = 1e-6;
+// Of a robot in a hall, to read files whose range noise has a time in place of a length.
+constexpr double kFormerSpeed_mps = 1.0;
 
 using Output = std::back_insert_iterator<std::string>;
 
@@ -120,12 +122,14 @@ double parse_variance(const YamlValue& yaml) {
 }
 
 model::RangeNoise parse_range_noise(const YamlValue& yaml) {
-  yaml.expect_keys({{"white_variance_m2", "slow_variance_m2", "slow_time_s"}});
+  yaml.expect_keys({{"white_variance_m2", "slow_variance_m2"}, {"slow_length_m", "slow_time_s"}});
   model::RangeNoise noise;
   const double white_m2 = yaml.at("white_variance_m2").positive_number();
   noise.white_sigma_m = std::sqrt(white_m2);
   noise.bias_sigma_m = std::sqrt(parse_variance(yaml.at("slow_variance_m2")));
-  noise.bias_time_s = yaml.at("slow_time_s").positive_number();
+  const auto time_s = yaml.find("slow_time_s");
+  noise.bias_length_m =
+      time_s ? kFormerSpeed_mps * time_s->positive_number() : yaml.at("slow_length_m").positive_number();
   return noise;
 }
 
@@ -275,9 +279,9 @@ std::string format_calibration(const model::Calibration& calibration) {
     const model::RangeNoise& noise = *calibration.range_noise;
     fmt::format_to(out,
                    "# Noise of LOS ranges: white, and a Gauss-Markov bias that an anchor's tags share.\n");
-    fmt::format_to(out, "range_noise: {{white_variance_m2: {}, slow_variance_m2: {}, slow_time_s: {}}}\n",
+    fmt::format_to(out, "range_noise: {{white_variance_m2: {}, slow_variance_m2: {}, slow_length_m: {}}}\n",
                    noise.white_sigma_m * noise.white_sigma_m, noise.bias_sigma_m * noise.bias_sigma_m,
-                   noise.bias_time_s);
+                   noise.bias_length_m);
   }
   if (!calibration.tags.empty()) {
     fmt::format_to(

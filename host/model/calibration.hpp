@@ -72,12 +72,13 @@ struct TagCalibration {
   std::optional<PatternTerms> pattern_m;  // of its antenna, in base_link: coefficients of pattern_terms()
 };
 
-// Error of a LOS range beyond beta and gamma: white noise, and a first-order Gauss-Markov range bias common
-// to an anchor's tags (reflections, diffraction at near obstacles, survey errors).
+// Error of a LOS range beyond beta and gamma: white noise, and a range bias common to an anchor's tags
+// (reflections, diffraction at near obstacles, survey errors). The bias is a first-order Gauss-Markov process
+// of the way driven: it belongs to a place, and so stays as it is while the robot stands.
 struct RangeNoise {
   double white_sigma_m = 0.0;
-  double bias_sigma_m = 0.0;  // of the Gauss-Markov range bias
-  double bias_time_s = 1.0;   // its correlation falls to 1/e over this time
+  double bias_sigma_m = 0.0;   // of the Gauss-Markov range bias
+  double bias_length_m = 1.0;  // its correlation falls to 1/e over this way
 };
 
 struct Calibration {

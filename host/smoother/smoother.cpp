@@ -32,10 +32,10 @@ constexpr double kMoreDamping = 10.0;
 constexpr double kCostRounding = 1e-9;
 constexpr double kConvergedCost = 1e-3;
 constexpr Eigen::Index kPose = 3;
-// The error of an anchor's position acts on its ranges alike for as long as its direction stays: at 0.5 m/s
-// and 5 m, 3 s turn it by 17 degrees. Measured on the demo's second drives (simulated), seeds 1 to 20: a
-// second and ten are worse.
-constexpr double kMapTime_s = 3.0;
+// The error of an anchor's position acts on its ranges alike for as long as its direction stays: at 5 m, this
+// way turns it by 17 degrees. Measured on the demo's second drives (simulated), seeds 1 to 20: 0.7 m and 3 m
+// are worse by 3 %, and so is a share of the distance.
+constexpr double kMapLength_m = 1.5;
 
 using model::square;
 
@@ -167,6 +167,7 @@ struct Sighting {
   const Anchor* anchor = nullptr;
   Eigen::Index tag = 0;
   std::size_t row = 0;
+  double way_m = 0.0;          // driven so far, horizontally
   double weight = 0.0;         // the gate's
   double white_m2 = 0.0;       // variance of its own noise
   double bias_m2 = 0.0;        // variance of the pair's slow bias
@@ -188,7 +189,7 @@ class Smoother {
         unknowns_(Eigen::VectorXd::Zero(shared_.mean.size())) {
     if (run.calibration->range_noise) {
       bias_sigma_m_ = run.calibration->range_noise->bias_sigma_m * config_.range_bias_growth;
-      bias_time_s_ = run.calibration->range_noise->bias_time_s * config_.range_bias_time_growth;
+      bias_length_m_ = run.calibration->range_noise->bias_length_m;
     }
     for (const model::TagCalibration& calibrated : run.calibration->tags) {
       const Eigen::Index tag = tag_slot(tags_, calibrated.id);
@@ -370,26 +371,31 @@ class Smoother {
 
   // Counts the ranges that share errors with each range.
   void count_alike() {
+    locate();
+    std::vector<double> ways_m{0.0};
+    for (std::size_t k = 1; k < states_.size(); ++k)
+      ways_m.push_back(ways_m.back() + (states_[k] - states_[k - 1]).head<2>().norm());
+    for (Sighting& sighting : sightings_) sighting.way_m = ways_m[sighting.row];
     std::map<const Anchor*, std::vector<Sighting*>> anchors;
     std::map<std::pair<const Anchor*, Eigen::Index>, std::vector<Sighting*>> pairs;
     for (Sighting& sighting : sightings_) {
       anchors[sighting.anchor].push_back(&sighting);
       pairs[{sighting.anchor, sighting.tag}].push_back(&sighting);
     }
-    for (const auto& [anchor, members] : anchors) count_within(members, kMapTime_s, &Sighting::of_the_anchor);
-    for (const auto& [pair, members] : pairs) count_within(members, bias_time_s_, &Sighting::of_the_pair);
+    for (const auto& [anchor, members] : anchors)
+      count_within(members, kMapLength_m, &Sighting::of_the_anchor);
+    for (const auto& [pair, members] : pairs) count_within(members, bias_length_m_, &Sighting::of_the_pair);
   }
 
-  // For each of the ranges, sorted by time: one and the weights of the others within time_s.
-  static void count_within(const std::vector<Sighting*>& members, double time_s, double Sighting::*count) {
+  // For each of the ranges, sorted by time: one and the weights of the others within this way of it.
+  static void count_within(const std::vector<Sighting*>& members, double length_m, double Sighting::*count) {
     std::size_t first = 0;
     std::size_t end = 0;
     double weights = 0.0;
     for (Sighting* member : members) {
-      const double t_s = member->range->t_s;
-      for (; end < members.size() && members[end]->range->t_s <= t_s + time_s; ++end)
+      for (; end < members.size() && members[end]->way_m <= member->way_m + length_m; ++end)
         weights += members[end]->weight;
-      for (; members[first]->range->t_s < t_s - time_s; ++first) weights -= members[first]->weight;
+      for (; members[first]->way_m < member->way_m - length_m; ++first) weights -= members[first]->weight;
       member->*count = 1.0 + std::max(0.0, weights - member->weight);
     }
   }
@@ -518,7 +524,7 @@ class Smoother {
   Shared shared_;
   std::vector<model::PatternTerms> patterns_m_;
   double bias_sigma_m_ = 0.0;  // of a pair's slow bias, before tuning
-  double bias_time_s_ = 0.0;
+  double bias_length_m_ = 0.0;
   Eigen::VectorXd unknowns_;
   std::vector<Eigen::Vector3d> states_;  // the pose at each sample
   std::vector<int> charts_;              // of each sample, from the filter

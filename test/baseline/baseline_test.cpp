@@ -409,7 +409,7 @@ TEST(CeresBatch, SlowBiasesWidenTheCovariance) {
   Scene scene(6.0);
   const Eigen::Matrix3d without = outcome_of(scene.drive, "ceres-batch").rows.back().covariance;
   scene.drive.range_noise.bias_sigma_m = 0.05;
-  scene.drive.range_noise.bias_time_s = 1.0;
+  scene.drive.range_noise.bias_length_m = 1.0;
   const Eigen::Matrix3d with = outcome_of(scene.drive, "ceres-batch").rows.back().covariance;
   EXPECT_GT(with.trace(), 1.2 * without.trace());
   const Eigen::Matrix3d window = outcome_of(scene.drive, "ceres-window").rows.back().covariance;

@@ -23,10 +23,9 @@ namespace groma::baseline {
 namespace {
 
 constexpr double kKeyframe_s = 0.2;
-// Factors on the slow range bias of another drive than the calibration's, as in the filter's configuration.
+// Factor on the slow range bias of another drive than the calibration's, as in the filter's configuration.
 constexpr double kBiasGrowth = 2.5;
-constexpr double kBiasTimeGrowth = 3.0;
-// Parts of its correlation time over which a slow bias is one unknown.
+// Parts of its correlation length over which a slow bias is one unknown.
 constexpr double kBiasParts = 2.0;
 constexpr double kWide = 8.0;        // of the first kernel over the last
 constexpr std::size_t kPlaced = 10;  // keyframes
@@ -56,12 +55,13 @@ struct Factor {
 
 struct Keyframe {
   double t_s = 0.0;
+  double way_m = 0.0;  // driven so far
   std::unique_ptr<Unknown> pose;
   int chart = 0;
 };
 
 struct SlowBias {
-  double from_s = 0.0;
+  double from_m = 0.0;  // way driven
   std::unique_ptr<Unknown> value;
 };
 
@@ -74,7 +74,7 @@ class Graph::Model {
         options_(options),
         range_sigma_m_(options.parameters.range_factor * drive.range_noise.white_sigma_m),
         bias_sigma_m_(kBiasGrowth * drive.range_noise.bias_sigma_m),
-        bias_time_s_(kBiasTimeGrowth * drive.range_noise.bias_time_s) {
+        bias_length_m_(drive.range_noise.bias_length_m) {
     if (options.parameters.kernel > 0.0)
       loss_ = std::make_unique<ceres::CauchyLoss>(options.parameters.kernel);
     const Site& site = *drive.site;
@@ -106,7 +106,7 @@ class Graph::Model {
       }
     }
     const model::PlanarPose& start = drive.start.pose;
-    keyframes_.push_back({drive.start.t_s, std::make_unique<Unknown>(), start.chart});
+    keyframes_.push_back({drive.start.t_s, 0.0, std::make_unique<Unknown>(), start.chart});
     const Keyframe& first = keyframes_.back();
     first.pose->value = {start.x_m, start.y_m, start.theta_rad};
     add_prior(*first.pose, Eigen::Vector3d(1.0 / kStartSigma_m, 1.0 / kStartSigma_m, 1.0 / kStartSigma_rad));
@@ -123,14 +123,16 @@ class Graph::Model {
         .unknowns = {keyframe.pose.get(), &odometry_, anchors_[anchor].get(), lever_arms_[tag].get(),
                      &frame_},
         .is_range = true};
-    if (bias_sigma_m_ > 0.0) factor.unknowns.push_back(&slow_bias(anchor, range.t_s));
+    if (bias_sigma_m_ > 0.0)
+      factor.unknowns.push_back(&slow_bias(anchor, keyframe.way_m + way_of(increment)));
     factors_.push_back(std::move(factor));
   }
 
   void add_keyframe(const Increment& increment) {
     const model::PlanarPose pose = predict(increment);
     const Keyframe& last = keyframes_.back();
-    Keyframe next{last.t_s + increment.passed_s, std::make_unique<Unknown>(), pose.chart};
+    Keyframe next{last.t_s + increment.passed_s, last.way_m + way_of(increment), std::make_unique<Unknown>(),
+                  pose.chart};
     next.pose->value = {pose.x_m, pose.y_m, pose.theta_rad};
     factors_.push_back(
         {.cost = std::make_unique<OdometryCost>(*drive_.surface, last.chart, next.chart, increment),
@@ -258,17 +260,19 @@ class Graph::Model {
          .unknowns = {&unknown}});
   }
 
-  // A Gauss-Markov process in units of its sigma: one unknown for each part of the correlation time.
-  Unknown& slow_bias(std::size_t anchor, double t_s) {
+  static double way_of(const Increment& increment) { return increment.moved.head<2>().norm(); }
+
+  // A Gauss-Markov process in units of its sigma: one unknown for each part of the correlation length.
+  Unknown& slow_bias(std::size_t anchor, double way_m) {
     std::deque<SlowBias>& all = biases_[anchor];
-    const double part_s = bias_time_s_ / kBiasParts;
-    if (!all.empty() && t_s < all.back().from_s + part_s) return *all.back().value;
-    SlowBias next{t_s, std::make_unique<Unknown>()};
+    const double part_m = bias_length_m_ / kBiasParts;
+    if (!all.empty() && way_m < all.back().from_m + part_m) return *all.back().value;
+    SlowBias next{way_m, std::make_unique<Unknown>()};
     next.value->value.assign(1, 0.0);
     if (all.empty()) {
       add_prior(*next.value, Eigen::VectorXd::Ones(1));
     } else {
-      const double kept = std::exp(-(t_s - all.back().from_s) / bias_time_s_);
+      const double kept = std::exp(-(way_m - all.back().from_m) / bias_length_m_);
       const double per_sigma = 1.0 / std::sqrt(1.0 - kept * kept);
       next.value->value[0] = kept * all.back().value->value[0];
       factors_.push_back({.cost = std::make_unique<LinearCost>(
@@ -284,9 +288,10 @@ class Graph::Model {
   // rest.
   void marginalize() {
     std::set<Unknown*> dropped{keyframes_.front().pose.get()};
-    const double next_s = keyframes_[1].t_s;
+    const double next_m = keyframes_[1].way_m;
     for (const std::deque<SlowBias>& all : biases_) {
-      for (std::size_t i = 0; i + 1 < all.size() && all[i].from_s + bias_time_s_ / kBiasParts <= next_s; ++i)
+      for (std::size_t i = 0; i + 1 < all.size() && all[i].from_m + bias_length_m_ / kBiasParts <= next_m;
+           ++i)
         dropped.insert(all[i].value.get());
     }
     const auto take = [this](const auto& matches) {
@@ -384,7 +389,7 @@ class Graph::Model {
   GraphOptions options_;
   double range_sigma_m_;
   double bias_sigma_m_;
-  double bias_time_s_;
+  double bias_length_m_;
   std::unique_ptr<ceres::CauchyLoss> loss_;
   Unknown odometry_;
   Unknown frame_;

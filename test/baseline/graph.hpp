@@ -29,7 +29,7 @@ struct GraphOptions {
 
 // Unknowns: the pose at each keyframe; the odometry's scale and yaw-rate bias and the ranges' delay; of each
 // anchor its position and terms, of each tag its lever arm, the frame that all anchors share; and, where the
-// calibration has one, each anchor's slow range bias, constant over half of its correlation time. Their
+// calibration has one, each anchor's slow range bias, constant over half of its correlation length. Their
 // priors are those of the calibration file and of the filter's configuration.
 //
 // Ranges between two keyframes refer to the earlier one by the odometry since. The noise of that odometry is

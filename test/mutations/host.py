@@ -65,8 +65,8 @@ MUTATIONS = [
      "const double left = innovation(i);",
      "filter_test:Sensors/SensorModels.UpdateEqualsADenseOne/schmidt"),
     ("filter: suspected divergence adds no covariance", "host/filter/filter.hpp",
-     "range_bias_time_s_, &now_.gate, now_, now_.covariance}",
-     "range_bias_time_s_, nullptr, now_, now_.covariance}",
+     "range_bias_length_m_, &now_.gate, now_, now_.covariance}",
+     "range_bias_length_m_, nullptr, now_, now_.covariance}",
      "filter_test:Filter/EveryModel.PredictionEqualsProcessingTheSameInputs/schmidt:"
      "Filter.RecoversAfterItWasCarriedAway"),
     ("gate: NLOS state of a pair is not remembered", "host/filter/gate.cpp",

@@ -38,7 +38,7 @@ model::Calibration corridor(int anchors, double position_sigma_m = 0.1) {
   calibration.common_frame_covariance.diagonal() << 4e-4, 4e-4, 1e-4, 1e-9;
   for (model::AnchorCalibration& anchor : calibration.anchors)
     model::add_common_frame(anchor, calibration.common_frame_covariance);
-  calibration.range_noise = {.white_sigma_m = 0.1, .bias_sigma_m = 0.05, .bias_time_s = 3.0};
+  calibration.range_noise = {.white_sigma_m = 0.1, .bias_sigma_m = 0.05, .bias_length_m = 3.0};
   return calibration;
 }
 
@@ -70,7 +70,7 @@ Truth drive_along(const model::Calibration& calibration, int trips, Random& rand
   for (model::Tag& tag : tags) tag.lever_arm_m += 0.01 * random.gaussians(3);
   std::vector<double> slow_m;
   for (std::size_t i = 0; i < sites.size(); ++i) slow_m.push_back(noise.bias_sigma_m * random.gaussian());
-  const double fade = std::exp(-kRow_s / noise.bias_time_s);
+  const double fade = std::exp(-kSpeed_mps * kRow_s / noise.bias_length_m);
   const double scale = 0.01 * random.gaussian();
   const double bias = 0.002 * random.gaussian();
 
@@ -115,7 +115,6 @@ Config config_with(Model model, int active) {
   config.odometry = {0.03, 0.03, 0.01};
   config.active_anchors = active;
   config.range_bias_growth = 1.0;
-  config.range_bias_time_growth = 1.0;
   // No NLOS, so that the gate's history of an anchor before its removal does not matter.
   config.gate.nlos_prior = 0.0;
   config.gate.garbage_share = 0.0;

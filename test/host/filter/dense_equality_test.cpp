@@ -27,7 +27,6 @@ Config plain_config(Model model) {
   config.gate.garbage_share = 0.0;
   config.tunes_noise = false;
   config.range_bias_growth = 1.0;
-  config.range_bias_time_growth = 1.0;
   return config;
 }
 
@@ -79,8 +78,8 @@ class DenseFilter {
       const Motion motion = move(surface_, core(), row_, dt_s / steps);
       Eigen::MatrixXd f = Eigen::MatrixXd::Identity(x_.size(), x_.size());
       f.block<3, kCoreSize>(0, 0) = motion.d_core;
+      const double fade = std::exp(-(motion.pose.head<2>() - x_.head<2>()).norm() / noise_.bias_length_m);
       x_.head<3>() = motion.pose;
-      const double fade = std::exp(-dt_s / steps / noise_.bias_time_s);
       for (int anchor = 0; anchor < parameters_.anchor_count(); ++anchor) {
         const int slow = kCoreSize + parameters_.range_bias(anchor);
         f(slow, slow) = fade;
@@ -150,7 +149,7 @@ class DenseEquality : public ::testing::TestWithParam<Model> {};
 TEST_P(DenseEquality, OverADriveOnHills) {
   const model::Surface surface = testing::hills(0.3);
   model::Calibration calibration = testing::six_anchors();
-  calibration.range_noise = {.white_sigma_m = 0.08, .bias_sigma_m = 0.1, .bias_time_s = 1.5};
+  calibration.range_noise = {.white_sigma_m = 0.08, .bias_sigma_m = 0.1, .bias_length_m = 1.5};
   calibration.anchors[2].verdict = model::AnchorVerdict::kWeak;
   const Config config = plain_config(GetParam());
   Random random(41);

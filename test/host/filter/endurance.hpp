@@ -48,7 +48,7 @@ inline double endure(Model model, std::size_t updates, double white_sigma_m, std
   calibration.common_frame_covariance.diagonal() << 4e-4, 4e-4, 1e-4, 1e-6;
   for (model::AnchorCalibration& anchor : calibration.anchors)
     model::add_common_frame(anchor, calibration.common_frame_covariance);
-  calibration.range_noise = {.white_sigma_m = white_sigma_m, .bias_sigma_m = 0.02, .bias_time_s = 5.0};
+  calibration.range_noise = {.white_sigma_m = white_sigma_m, .bias_sigma_m = 0.02, .bias_length_m = 5.0};
   calibration.range_delay_sigma_s = 1e-3;
   Config config;
   config.model = model;

@@ -77,15 +77,13 @@ Drive drive(const model::Surface& surface, const model::Calibration& calibration
     sites.push_back(site);
   }
 
-  // Gauss-Markov range bias of each anchor, with exact transitions from range to range.
+  // Gauss-Markov range bias of each anchor, with transitions by the way from range to range.
   const model::RangeNoise noise =
       calibration.range_noise.value_or(model::RangeNoise{options.range_sigma_m, 0.0, 1.0});
   std::vector<double> slow_m;
   for (std::size_t i = 0; i < sites.size(); ++i) {
     slow_m.push_back(noise.bias_sigma_m > 0.0 ? noise.bias_sigma_m * random.gaussian() : 0.0);
   }
-  const double fade = std::exp(-options.range_s / noise.bias_time_s);
-
   Drive out;
   model::PlanarPose at = start;
   double next_range_s = options.range_s > 0.0 ? 0.5 * options.range_s : options.duration_s + 1.0;
@@ -101,6 +99,7 @@ Drive drive(const model::Surface& surface, const model::Calibration& calibration
     out.truth.push_back(at);
     for (; next_range_s < t_s + options.row_s; next_range_s += options.range_s) {
       if (noise.bias_sigma_m > 0.0) {
+        const double fade = std::exp(-velocity.head<2>().norm() * options.range_s / noise.bias_length_m);
         for (double& error_m : slow_m) {
           error_m = fade * error_m + std::sqrt(1.0 - fade * fade) * noise.bias_sigma_m * random.gaussian();
         }

@@ -58,7 +58,7 @@ model::Calibration make_calibration() {
   calibration.tags[1].lever_arm->sigma_m(1) = 0.004;
   calibration.range_delay_s = 0.0211;
   calibration.range_delay_sigma_s = 0.0017;
-  calibration.range_noise = {.white_sigma_m = 0.05, .bias_sigma_m = 0.07, .bias_time_s = 1.0 / 3.0};
+  calibration.range_noise = {.white_sigma_m = 0.05, .bias_sigma_m = 0.07, .bias_length_m = 1.0 / 3.0};
   calibration.verdict = model::Verdict::kWarnings;
   calibration.input_sha256 = "00e1";
   calibration.program_version = "0.1.0";
@@ -88,7 +88,7 @@ TEST(CalibrationFileTest, EveryNumberSurvivesExactly) {
   ASSERT_TRUE(after.range_noise.has_value());
   EXPECT_DOUBLE_EQ(after.range_noise->white_sigma_m, 0.05);
   EXPECT_DOUBLE_EQ(after.range_noise->bias_sigma_m, 0.07);
-  EXPECT_EQ(after.range_noise->bias_time_s, before.range_noise->bias_time_s);
+  EXPECT_EQ(after.range_noise->bias_length_m, before.range_noise->bias_length_m);
   EXPECT_EQ(after.verdict, before.verdict);
   EXPECT_EQ(after.input_sha256, before.input_sha256);
   EXPECT_EQ(after.program_version, before.program_version);
@@ -115,6 +115,15 @@ TEST(CalibrationFileTest, EveryNumberSurvivesExactly) {
     }
   }
   EXPECT_EQ(format_calibration(after), format_calibration(before));
+}
+
+// As written before slow_length_m.
+TEST(CalibrationFileTest, ReadsATimeOfTheSlowBiasAsTheWayAtOneMetrePerSecond) {
+  std::string text = format_calibration(make_calibration());
+  const std::size_t at = text.find("slow_length_m:");
+  ASSERT_NE(at, std::string::npos);
+  text.replace(at, std::string("slow_length_m:").size(), "slow_time_s:");
+  EXPECT_DOUBLE_EQ(parse_calibration("c.yaml", text).range_noise->bias_length_m, 1.0 / 3.0);
 }
 
 TEST(CalibrationFileTest, EveryVerdictHasAName) {

@@ -205,7 +205,7 @@ TEST_P(Smoothing, IsConsistentWithASlowRangeBias) {
   constexpr int kSites = 40;
   const model::Surface flat;
   model::Calibration calibration = site::six_anchors(0.3);
-  calibration.range_noise = {.white_sigma_m = 0.05, .bias_sigma_m = 0.15, .bias_time_s = 4.0};
+  calibration.range_noise = {.white_sigma_m = 0.05, .bias_sigma_m = 0.15, .bias_length_m = 4.0};
   const std::vector<model::Tag> tag{site::three_tags().front()};
   Random random(34);
   Score smoothed;
@@ -216,7 +216,6 @@ TEST_P(Smoothing, IsConsistentWithASlowRangeBias) {
     const filter::Run run{drive.odometry, drive.ranges, tag, &flat, &calibration};
     filter::ReplayOptions options = options_of(GetParam());
     options.config.range_bias_growth = 1.0;
-    options.config.range_bias_time_growth = 1.0;
     options.config.tunes_noise = false;
     options.config.gate.nlos_prior = 0.0;
     options.config.gate.garbage_share = 0.0;
