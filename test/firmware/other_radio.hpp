@@ -20,8 +20,7 @@ namespace groma::testing {
 inline constexpr std::int64_t kOtherTick = 26;  // network ticks in one of its own
 
 // A preamble symbol of 1.3 us and a data bit of 160 ns. The radio transmits at each of its ticks, which are
-// no multiple of a power of two, so it rounds by itself and
-// reports what was requested.
+// no multiple of a power of two, so it rounds by itself and reports what was requested.
 constexpr radio::Phy other_phy_of(radio::Preamble preamble) noexcept {
   const int symbols = preamble == radio::Preamble::k64 ? 64 : preamble == radio::Preamble::k128 ? 128 : 256;
   return {preamble,
