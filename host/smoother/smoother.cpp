@@ -33,7 +33,7 @@ constexpr double kCostRounding = 1e-9;
 constexpr double kConvergedCost = 1e-3;
 constexpr Eigen::Index kPose = 3;
 // The error of an anchor's position acts on its ranges alike for as long as its direction stays: at 5 m, this
-// way turns it by 22 degrees. With 1.5 m Smoothing.IsBetterThanTheFilterAndConsistent claims too little; with
+// way turns it by 22 degrees. With 1.5 m Smoothing.IsBetterThanTheFilterAndConsistent is overconfident; with
 // 3 m the demo's second drives (simulated), seeds 1 to 20, are worse by 2 %.
 constexpr double kMapLength_m = 2.0;
 
@@ -236,6 +236,7 @@ class Smoother {
     const Eigen::Index shared = shared_.mean.size();
     ChainProblem problem(rows_.size(), kPose, shared,
                          config_.model == filter::Model::kJoint ? 0 : shared_.considered());
+    locate();
     count_alike();
     weigh();
     double damping = 0.0;
@@ -371,7 +372,6 @@ class Smoother {
 
   // Counts the ranges that share errors with each range.
   void count_alike() {
-    locate();
     std::vector<double> ways_m{0.0};
     for (std::size_t k = 1; k < states_.size(); ++k)
       ways_m.push_back(ways_m.back() + (states_[k] - states_[k - 1]).head<2>().norm());
@@ -402,7 +402,6 @@ class Smoother {
 
   // The ranges' variances, by the directions that the filter found.
   void weigh() {
-    locate();
     const Eigen::VectorXd values = shared_values();
     for (Sighting& sighting : sightings_) {
       // n ranges that share an error of variance s^2 say as much about it as n ranges with white errors of

@@ -375,10 +375,11 @@ double position_variance_m2(double speed_mps) {
     filter->process(model::OdometrySample{t_s, velocity.x(), velocity.y(), velocity.z()});
     if (i == 0) filter->start({.t_s = 0.0, .pose = at, .position_sigma_m = 0.3, .heading_sigma_rad = 0.1});
     const model::AnchorCalibration& anchor = calibration.anchors[static_cast<std::size_t>(i) % 6];
-    const model::Tag& tag = tags[static_cast<std::size_t>(i / 6) % 3];
-    const auto prediction = model::predict_range(
-        model::pose_on_surface(flat, at).pose, tag.lever_arm_m, anchor.position_m,
-        model::terms_of(model::values_of(anchor), static_cast<Eigen::Index>(i / 6) % 3, 3));
+    const int slot = i / 6 % 3;
+    const model::Tag& tag = tags[static_cast<std::size_t>(slot)];
+    const auto prediction =
+        model::predict_range(model::pose_on_surface(flat, at).pose, tag.lever_arm_m, anchor.position_m,
+                             model::terms_of(model::values_of(anchor), slot, 3));
     filter->process(model::RangeSample{t_s, tag.id, anchor.id, prediction.range_m});
     at = testing::integrate(flat, at, velocity, 0.05, 2);
   }
