@@ -168,9 +168,8 @@ constexpr double kTypicalRatio = 0.85;
 
 // The ratio over steps of 2 true metres (by hand), so that the noise of a range matters little, although the
 // places may be in feet or millimetres.
-std::optional<double> range_change_ratio(const Data& data, std::vector<model::RangeSample> ranges) {
+std::optional<double> range_change_ratio(const Data& data, const std::vector<model::RangeSample>& ranges) {
   constexpr double kStep_m = 2.0;
-  std::sort(ranges.begin(), ranges.end(), [](const auto& a, const auto& b) { return a.t_s < b.t_s; });
   const PlaceAt place_at = data.poses.empty() ? places_on_way(data.odometry) : places_of(data.poses);
   std::optional<double> ratio = range_change_ratio(place_at, ranges, kStep_m);
   for (int round = 0; round < 3 && ratio && *ratio > 0.0 && *ratio < 0.5 * kTypicalRatio; ++round) {
@@ -319,10 +318,15 @@ std::vector<Finding> find_wrong_lengths(Data& data) {
   }
   std::set<model::NodeId> known;
   for (const model::Tag& tag : data.tags) known.insert(tag.id);
-  std::vector<model::RangeSample> all = data.ranges;
+  std::vector<model::RangeSample> with_dropped;
   for (const model::RangeSample& range : data.dropped_ranges) {
-    if (known.contains(range.tag_id)) all.push_back(range);
+    if (!known.contains(range.tag_id)) continue;
+    if (with_dropped.empty()) with_dropped = data.ranges;
+    with_dropped.push_back(range);
   }
+  std::stable_sort(with_dropped.begin(), with_dropped.end(),
+                   [](const auto& a, const auto& b) { return a.t_s < b.t_s; });
+  const std::vector<model::RangeSample>& all = with_dropped.empty() ? data.ranges : with_dropped;
   const std::optional<double> ratio = range_change_ratio(data, all);
   // By hand: a range changes by 0.5 to 1.0 of the way (quantile of all runs: 0.66 to 0.97); feet are 3.3.
   constexpr double kTolerance = 0.45;
@@ -338,12 +342,12 @@ std::vector<Finding> find_wrong_lengths(Data& data) {
   };
   if (const auto unit = unit_of(kLengthUnits, *ratio / kTypicalRatio, kTolerance)) {
     report("the ranges", *unit, "give the column range_m in metres");
-    for (model::RangeSample& range : all) range.range_m /= unit->factor;
-    std::erase_if(all, [](const model::RangeSample& range) {
+    std::vector<model::RangeSample> in_metres = all;
+    for (model::RangeSample& range : in_metres) range.range_m /= unit->factor;
+    std::erase_if(in_metres, [](const model::RangeSample& range) {
       return !(range.range_m > 0.0 && range.range_m <= io::kMaxRange_m);
     });
-    std::stable_sort(all.begin(), all.end(), [](const auto& a, const auto& b) { return a.t_s < b.t_s; });
-    data.ranges = std::move(all);
+    data.ranges = std::move(in_metres);
   } else if (const auto of_motion = unit_of(kLengthUnits, kTypicalRatio / *ratio, kTolerance)) {
     if (data.poses.empty()) {
       report("the speeds of the odometry", *of_motion, "give vx_mps and vy_mps in metres per second");

@@ -75,6 +75,10 @@ ReplayResult replay(const Run& run, const ReplayOptions& options) {
   if (options.knows_start) tracker->start(options.start);
 
   ReplayResult result;
+  const auto most_rows = static_cast<std::size_t>(run.odometry.end() - odometry);
+  result.rows.reserve(most_rows);
+  result.states.reserve(most_rows);
+  result.spatial.reserve(most_rows);
   std::vector<double> propagate_ns;
   std::vector<double> update_ns;
   const auto timed = [&](std::vector<double>& durations, const auto& sample) {

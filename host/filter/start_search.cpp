@@ -113,9 +113,9 @@ constexpr auto kIsLikelier = [](const auto& a, const auto& b) { return a.cost < 
 
 // Derivatives w.r.t. a pair's parameters; by_anchor in the order of SiteAnchor::values.
 struct PairOf {
-  PairOf(const Site& site, int tag, const RangeMeasurement& measurement)
+  PairOf(const Site& site, int anchor, int tag, const model::SurfaceRange& prediction)
       : by_anchor(AnchorVector::Zero(site.anchor_size())) {
-    const auto& d = measurement.d_parameters;
+    const ParameterRow d = by_parameters(site.pair(anchor, tag), prediction);
     by_anchor(model::pair_indices(tag, site.tag_count)) = d.head<model::kPairSize>().transpose();
     by_lever_arm = d.segment<3>(kOfLeverArm);
     by_frame = d.segment<kFrameSize>(kOfFrame);
@@ -221,7 +221,7 @@ void StartSearch::process(const model::RangeSample& range) noexcept {
   at.pose = Frame(at.pose).compose(back);
   at.path_m -= back.head<2>().norm();
   seen(count_++) = {
-      .t_s = range.t_s, .anchor = anchor, .tag = tag, .range_m = range.range_m, .odometry = sample, .at = at};
+      .t_s = range.t_s, .anchor = anchor, .tag = tag, .range_m = range.range_m, .at = at};
 }
 
 void StartSearch::drop_oldest() noexcept {
@@ -263,20 +263,19 @@ void StartSearch::walk_back(const Eigen::Vector3d& pose, int chart, std::size_t 
 }
 
 StartSearch::Residual StartSearch::residual(const Seen& seen, const Frame& now, int chart) const noexcept {
-  CoreVector core = CoreVector::Zero();
-  core.segment<3>(kX) = now.compose(seen.back);
+  const Eigen::Vector3d then = now.compose(seen.back);
   Residual out;
-  out.predicted = measure_range(surface_, core, seen.odometry, site_.pair(seen.anchor, seen.tag), chart);
+  out.predicted = range_from(surface_, then, site_.pair(seen.anchor, seen.tag), chart);
   out.e_m = seen.range_m - out.predicted.range_m;
-  const Eigen::Vector2d lever = core.segment<2>(kX) - now.pose.head<2>();
-  out.d_pose = out.predicted.d_core.segment<3>(kX);
+  const Eigen::Vector2d lever = then.head<2>() - now.pose.head<2>();
+  out.d_pose = out.predicted.d_pose;
   out.d_pose(2) += -out.d_pose(0) * lever.y() + out.d_pose(1) * lever.x();
   return out;
 }
 
-double StartSearch::variance_m2(const Seen& seen, const RangeMeasurement& predicted,
+double StartSearch::variance_m2(const Seen& seen, const model::SurfaceRange& predicted,
                                 int chart) const noexcept {
-  const PairOf pair(site_, seen.tag, predicted);
+  const PairOf pair(site_, seen.anchor, seen.tag, predicted);
   const model::SurfaceMismatch& mismatch = surface_.mismatch(chart);
   return square(config_.range_sigma_m) + seen.drift_variance_m2 +
          pair.by_anchor.dot(site_.anchor(seen.anchor).covariance * pair.by_anchor) +
@@ -398,7 +397,7 @@ void StartSearch::add_calibration(Hypothesis& hypothesis) noexcept {
     const Residual r = residual(seen, now, chart);
     const double variance = variance_m2(seen, r.predicted, chart);
     const double weight = kShare * robust_weight(r.e_m / std::sqrt(variance)) / variance;
-    const PairOf pair(site_, seen.tag, r.predicted);
+    const PairOf pair(site_, seen.anchor, seen.tag, r.predicted);
     const Eigen::Vector3d correction = weight * r.d_pose.transpose();
     by_anchor_[static_cast<std::size_t>(seen.anchor)].noalias() += correction * pair.by_anchor.transpose();
     by_lever_arm[static_cast<std::size_t>(seen.tag)].noalias() += correction * pair.by_lever_arm.transpose();

@@ -82,7 +82,6 @@ class StartSearch {
     int anchor = 0;
     int tag = 0;
     double range_m = 0.0;
-    model::OdometrySample odometry;
     Odometer at;  // at the measurement: range_delay_s before the timestamp
     // Independent of the hypothesis, as of the last relate().
     Eigen::Vector3d back = Eigen::Vector3d::Zero();  // pose then, in the frame of the newest pose
@@ -93,7 +92,7 @@ class StartSearch {
   };
   struct Frame;
   struct Residual {
-    RangeMeasurement predicted;
+    model::SurfaceRange predicted;
     double e_m = 0.0;           // measured minus predicted
     Eigen::RowVector3d d_pose;  // of the predicted range, w.r.t. the pose now
   };
@@ -117,7 +116,7 @@ class StartSearch {
   template <class Each>
   void walk_back(const Eigen::Vector3d& pose, int chart, std::size_t every, const Each& each) noexcept;
   [[nodiscard]] Residual residual(const Seen& seen, const Frame& now, int chart) const noexcept;
-  [[nodiscard]] double variance_m2(const Seen& seen, const RangeMeasurement& predicted,
+  [[nodiscard]] double variance_m2(const Seen& seen, const model::SurfaceRange& predicted,
                                    int chart) const noexcept;
   // Stops early if the cost exceeds `most`; the result is then the partial cost.
   [[nodiscard]] double coarse_cost(const Eigen::Vector3d& pose, int chart, double width_m,

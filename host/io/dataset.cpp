@@ -36,8 +36,7 @@ template <typename Sample, typename Key>
 void put_in_order(std::vector<Sample>& samples, const Key& key, DroppedRows& dropped) {
   constexpr std::ptrdiff_t kRowsAhead = 16;
   double latest_s = -std::numeric_limits<double>::infinity();
-  std::vector<Sample> kept;
-  kept.reserve(samples.size());
+  auto kept = samples.begin();
   for (auto row = samples.begin(); row != samples.end(); ++row) {
     bool misplaced = row->t_s < latest_s - kMaxDelay_s;
     if (row->t_s > latest_s + kMaxDelay_s) {
@@ -51,16 +50,22 @@ void put_in_order(std::vector<Sample>& samples, const Key& key, DroppedRows& dro
       ++dropped.late;
     } else {
       latest_s = std::max(latest_s, row->t_s);
-      kept.push_back(*row);
+      *kept++ = *row;
     }
   }
+  samples.erase(kept, samples.end());
   const auto before = [&](const Sample& a, const Sample& b) { return key(a) < key(b); };
-  if (!std::is_sorted(kept.begin(), kept.end(), before)) std::stable_sort(kept.begin(), kept.end(), before);
-  const auto end = std::unique(kept.begin(), kept.end(),
+  if (!std::is_sorted(samples.begin(), samples.end(), before))
+    std::stable_sort(samples.begin(), samples.end(), before);
+  const auto end = std::unique(samples.begin(), samples.end(),
                                [&](const Sample& a, const Sample& b) { return key(a) == key(b); });
-  dropped.repeated += static_cast<std::size_t>(kept.end() - end);
-  kept.erase(end, kept.end());
-  samples = std::move(kept);
+  dropped.repeated += static_cast<std::size_t>(samples.end() - end);
+  samples.erase(end, samples.end());
+}
+
+// At least as many as rows.
+std::size_t lines_of(std::string_view text) {
+  return static_cast<std::size_t>(std::count(text.begin(), text.end(), '\n')) + 1;
 }
 
 template <typename Sample>
@@ -180,6 +185,7 @@ std::vector<model::RangeSample> parse_ranges(const std::filesystem::path& path, 
   const std::vector<bool> known_anchors =
       anchors != nullptr ? known_ids(*anchors) : std::vector<bool>(kMaxId + 1, true);
   std::vector<model::RangeSample> ranges;
+  ranges.reserve(lines_of(text));
   while (csv.next()) {
     const double t_s = csv.number(0);
     const std::optional<model::NodeId> tag_id = node_id(csv, 1);
@@ -226,6 +232,7 @@ std::vector<model::OdometrySample> parse_velocities(const std::filesystem::path&
                                                     std::string_view text) {
   CsvReader csv(path, text, {{"t_s"}, {"vx_mps"}, {"vy_mps"}, {"omega_radps"}});
   std::vector<model::OdometrySample> odometry;
+  odometry.reserve(lines_of(text));
   while (csv.next()) odometry.push_back({csv.number(0), csv.number(1), csv.number(2), csv.number(3)});
   return odometry;
 }

@@ -40,6 +40,9 @@ std::string format_estimate(std::span<const model::PlanarEstimate> rows,
   const bool floors = surface.chart_count() > 1;
   std::string text =
       fmt::format("{},state,reason,{}{}\n", kPlanarColumns, kSpatialColumns, floors ? ",floor" : "");
+  // Pages of memory that are touched once cost as much as the digits in them.
+  constexpr std::size_t kTypicalRow = 340;
+  text.reserve(text.size() + kTypicalRow * rows.size());
   for (std::size_t i = 0; i < rows.size(); ++i) {
     add_planar(text, rows[i]);
     const model::SpatialEstimate& at = spatial[i];
