@@ -52,6 +52,11 @@ AnchorScene::AnchorScene(const Data& data, std::size_t most_rows) : data_(data) 
   prior_sigma_.tail(size - kFirstBeta).setConstant(data.priors.beta_m.sigma);
 }
 
+void AnchorScene::locate(const Mistake& mistake, std::vector<Eigen::Vector3d>& antennas_m) const {
+  antennas_m.clear();
+  for (const RangeRow& row : rows_) antennas_m.push_back(antenna_m(row, mistake));
+}
+
 Eigen::Vector3d AnchorScene::antenna_m(const RangeRow& row, const Mistake& mistake) const {
   const double t_s = mistake.clock.corrected_s(row.t_s);
   const std::vector<model::PoseSample>& poses = data_.poses;

@@ -21,13 +21,15 @@ class AnchorScene final : public Scene {
   [[nodiscard]] std::size_t block_count() const override { return anchors_.size(); }
   // Of each block.
   [[nodiscard]] const std::vector<model::NodeId>& anchors() const noexcept { return anchors_; }
-  [[nodiscard]] Eigen::Vector3d antenna_m(const RangeRow& row, const Mistake& mistake) const override;
+  void locate(const Mistake& mistake, std::vector<Eigen::Vector3d>& antennas_m) const override;
   [[nodiscard]] double predict_m(const RangeRow& row, const Eigen::Vector3d& antenna_m,
                                  const Eigen::VectorXd& block, RangeDerivatives& out) const override;
   [[nodiscard]] std::vector<Eigen::VectorXd> starts(
       std::span<const RangeRow> rows, std::span<const Eigen::Vector3d> antennas_m) const override;
 
  private:
+  [[nodiscard]] Eigen::Vector3d antenna_m(const RangeRow& row, const Mistake& mistake) const;
+
   const Data& data_;
   std::vector<model::NodeId> anchors_;
 };

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
+#include <future>
 #include <limits>
 #include <numbers>
 #include <string>
@@ -65,25 +66,25 @@ std::string late(double offset_s) {
 // The clock offset under which a few ranges fit best, of a grid that is dense near zero. By hand: up to half
 // a minute.
 double best_offset_s(const Data& data, const MakeScene& make_scene) {
-  const auto few = make_scene(data, kMostSearchRows);
-  const auto cost_at = [&](double offset_s) {
-    Parameters none;
-    none.mistake = [offset_s](const Eigen::VectorXd&) { return Mistake{.clock = {.offset_s = offset_s}}; };
-    const RangeFit fit = fit_ranges(*few, none, 0);
-    return 2 * fit.rows < few->rows().size() ? kInfinity : fit.cost;
-  };
-  double best_s = 0.0;
-  double best = cost_at(0.0);
-  for (double step_s = 0.2; step_s < 30.0; step_s = std::max(step_s + 0.4, 1.15 * step_s)) {
-    for (const double offset_s : {step_s, -step_s}) {
-      const double cost = cost_at(offset_s);
-      if (cost < best) {
-        best = cost;
-        best_s = offset_s;
-      }
+  std::vector<double> steps_s{0.0};
+  for (double step_s = 0.2; step_s < 30.0; step_s = std::max(step_s + 0.4, 1.15 * step_s))
+    steps_s.push_back(step_s);
+  const auto best_of = [&](double sign) {
+    const auto few = make_scene(data, kMostSearchRows);
+    std::pair<double, double> best{kInfinity, 0.0};  // cost and offset
+    for (const double step_s : steps_s) {
+      Parameters none;
+      none.mistake = [offset_s = sign * step_s](const Eigen::VectorXd&) {
+        return Mistake{.clock = {.offset_s = offset_s}};
+      };
+      const RangeFit fit = fit_ranges(*few, none, 0);
+      if (2 * fit.rows >= few->rows().size() && fit.cost < best.first) best = {fit.cost, sign * step_s};
     }
-  }
-  return best_s;
+    return best;
+  };
+  auto early = std::async(std::launch::async, best_of, -1.0);
+  const auto late = best_of(1.0);
+  return std::min(late, early.get()).second;
 }
 
 }  // namespace

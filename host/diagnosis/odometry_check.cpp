@@ -193,22 +193,24 @@ void score(const Eigen::VectorXd& r, Estimate& out, int iterations) {
   const std::span<const double> moves(r.data() + n, 2 * n);
   out.turn_scale_rad = student_scale(turns, out.turn_scale_rad, kLeastTurn_rad, iterations);
   out.move_scale_m = student_scale(moves, out.move_scale_m, kLeastMove_m, iterations);
-  double sum = 0.5 * out.at.cwiseAbs2().dot(kPriorInformation);
-  double count = 0.0;
-  std::vector<double> sums(kSlices, 0.0);
-  std::vector<double> counts(kSlices, 0.0);
+  std::vector<StudentCost> turn_costs(kSlices, StudentCost(out.turn_scale_rad));
+  std::vector<StudentCost> move_costs(kSlices, StudentCost(out.move_scale_m));
   for (std::size_t i = 0; i < 3 * n; ++i) {
     const double residual = r(static_cast<Eigen::Index>(i));
     if (!std::isfinite(residual)) continue;
-    const double cost = student_cost(residual, i < n ? out.turn_scale_rad : out.move_scale_m);
-    sum += cost;
-    count += 1.0 / 3.0;
     const std::size_t slice = (i < n ? i : (i - n) / 2) * kSlices / n;
-    sums[slice] += cost;
-    counts[slice] += 1.0 / 3.0;
+    (i < n ? turn_costs : move_costs)[slice].add(residual);
   }
-  out.slice_cost.resize(kSlices);
-  for (std::size_t k = 0; k < sums.size(); ++k) out.slice_cost[k] = sums[k] / counts[k];
+  double sum = 0.5 * out.at.cwiseAbs2().dot(kPriorInformation);
+  double count = 0.0;
+  out.slice_cost.clear();
+  for (std::size_t k = 0; k < turn_costs.size(); ++k) {
+    const double cost = turn_costs[k].sum() + move_costs[k].sum();
+    const double windows = static_cast<double>(turn_costs[k].count() + move_costs[k].count()) / 3.0;
+    out.slice_cost.push_back(cost / windows);
+    sum += cost;
+    count += windows;
+  }
   out.cost = 2.0 * count < static_cast<double>(n) ? std::numeric_limits<double>::infinity() : sum / count;
 }
 

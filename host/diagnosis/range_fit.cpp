@@ -46,6 +46,13 @@ double prior_cost(const Scene& scene, const Eigen::VectorXd& block) {
   return 0.5 * ((block - scene.prior_mean()).array() / scene.prior_sigma().array()).square().sum();
 }
 
+// Ranges measured less predicted, NaN without an antenna, and the predictions' derivatives, a column each.
+struct Evaluated {
+  std::vector<double> residuals;
+  Eigen::Matrix3Xd by_antenna;
+  Eigen::MatrixXd by_block;
+};
+
 class Fitter {
  public:
   Fitter(const Scene& scene, const Parameters& parameters)
@@ -63,50 +70,57 @@ class Fitter {
     if (best.blocks.empty()) {
       for (const BlockRange range : ranges_) best.blocks.push_back(search_block(range));
     }
-    residuals_.resize(rows_.size());
-    compute_residuals(antennas_, best.blocks, residuals_);
-    best.scale_m = median_size(residuals_);
-    score(residuals_, best, 20);
+    evaluate_all(antennas_, best.blocks, now_);
+    best.scale_m = median_size(now_.residuals);
+    score(now_.residuals, best, 20);
     iterate(best, max_iterations);
     return best;
   }
 
  private:
   void locate(const Eigen::VectorXd& at, std::vector<Eigen::Vector3d>& out) const {
-    const Mistake mistake = parameters_.mistake(at);
-    out.resize(rows_.size());
-    for (std::size_t i = 0; i < rows_.size(); ++i) out[i] = scene_.antenna_m(rows_[i], mistake);
+    scene_.locate(parameters_.mistake(at), out);
   }
 
-  void compute_residuals(const std::vector<Eigen::Vector3d>& antennas,
-                         const std::vector<Eigen::VectorXd>& blocks, std::vector<double>& out) {
-    for (std::size_t i = 0; i < rows_.size(); ++i) {
-      out[i] =
-          rows_[i].range_m - scene_.predict_m(rows_[i], antennas[i], blocks[rows_[i].block], derivatives_);
-    }
+  // Of row i into column k.
+  void evaluate(std::size_t i, const Eigen::Vector3d& antenna_m, const Eigen::VectorXd& block, Evaluated& out,
+                std::size_t k) {
+    out.residuals[k] = rows_[i].range_m - scene_.predict_m(rows_[i], antenna_m, block, derivatives_);
+    out.by_antenna.col(static_cast<Eigen::Index>(k)) = derivatives_.antenna;
+    out.by_block.col(static_cast<Eigen::Index>(k)) = derivatives_.block;
+  }
+
+  void resize(Evaluated& out, std::size_t rows) const {
+    out.residuals.resize(rows);
+    out.by_antenna.resize(3, static_cast<Eigen::Index>(rows));
+    out.by_block.resize(scene_.prior_mean().size(), static_cast<Eigen::Index>(rows));
+  }
+
+  void evaluate_all(const std::vector<Eigen::Vector3d>& antennas, const std::vector<Eigen::VectorXd>& blocks,
+                    Evaluated& out) {
+    resize(out, rows_.size());
+    for (std::size_t i = 0; i < rows_.size(); ++i)
+      evaluate(i, antennas[i], blocks[rows_[i].block], out, i);
   }
 
   // Scale and cost of these residuals, priors included.
   void score(std::span<const double> residuals, RangeFit& fit, int iterations) const {
     fit.scale_m = student_scale(residuals, fit.scale_m, kLeastScale_m, iterations);
-    std::vector<double> sums(kSlices, 0.0);
-    std::vector<double> counts(kSlices, 0.0);
+    std::vector<StudentCost> slices(kSlices, StudentCost(fit.scale_m));
+    for (std::size_t i = 0; i < rows_.size(); ++i) {
+      if (std::isfinite(residuals[i])) slices[rows_[i].slice].add(residuals[i]);
+    }
     double sum = 0.0;
     fit.rows = 0;
-    for (std::size_t i = 0; i < rows_.size(); ++i) {
-      if (!std::isfinite(residuals[i])) continue;
-      const double cost = student_cost(residuals[i], fit.scale_m);
-      sum += cost;
-      ++fit.rows;
-      sums[rows_[i].slice] += cost;
-      counts[rows_[i].slice] += 1.0;
+    fit.slice_cost.clear();
+    for (const StudentCost& slice : slices) {
+      sum += slice.sum();
+      fit.rows += slice.count();
+      fit.slice_cost.push_back(slice.sum() / static_cast<double>(slice.count()));  // NaN without rows
     }
     for (const Eigen::VectorXd& block : fit.blocks) sum += prior_cost(scene_, block);
     sum += 0.5 * ((fit.at - parameters_.start).array() / parameters_.prior_sigma.array()).square().sum();
     fit.cost = fit.rows > 0 ? sum / static_cast<double>(fit.rows) : std::numeric_limits<double>::infinity();
-    fit.slice_cost.resize(kSlices);
-    for (std::size_t k = 0; k < sums.size(); ++k)
-      fit.slice_cost[k] = sums[k] / counts[k];  // NaN without rows
   }
 
   // The best of the block's starts, each improved by itself.
@@ -126,34 +140,34 @@ class Fitter {
     return best;
   }
 
-  double block_cost(BlockRange range, const Eigen::VectorXd& block, double& scale_m, int iterations) {
-    std::vector<double>& r = block_residuals_;
-    r.resize(range.end - range.begin);
-    for (std::size_t i = range.begin; i < range.end; ++i) {
-      r[i - range.begin] = rows_[i].range_m - scene_.predict_m(rows_[i], antennas_[i], block, derivatives_);
+  double block_cost(BlockRange range, const Eigen::VectorXd& block, double& scale_m, int iterations,
+                    Evaluated& out) {
+    resize(out, range.end - range.begin);
+    for (std::size_t i = range.begin; i < range.end; ++i)
+      evaluate(i, antennas_[i], block, out, i - range.begin);
+    if (scale_m == 0.0) scale_m = median_size(out.residuals);
+    scale_m = student_scale(out.residuals, scale_m, kLeastScale_m, iterations);
+    StudentCost cost(scale_m);
+    for (const double residual : out.residuals) {
+      if (std::isfinite(residual)) cost.add(residual);
     }
-    if (scale_m == 0.0) scale_m = median_size(r);
-    scale_m = student_scale(r, scale_m, kLeastScale_m, iterations);
-    double cost = prior_cost(scene_, block);
-    for (const double residual : r) {
-      if (std::isfinite(residual)) cost += student_cost(residual, scale_m);
-    }
-    return cost;
+    return prior_cost(scene_, block) + cost.sum();
   }
 
   double improve_block(BlockRange range, Eigen::VectorXd& block) {
     double scale_m = 0.0;
-    double cost = block_cost(range, block, scale_m, 10);
+    double cost = block_cost(range, block, scale_m, 10, now_);
     double damping = 1e-2;
     for (int iteration = 0; iteration < 15; ++iteration) {
       Eigen::MatrixXd information = prior_information_.asDiagonal();
       Eigen::VectorXd gradient = prior_information_.cwiseProduct(scene_.prior_mean() - block);
-      for (std::size_t i = range.begin; i < range.end; ++i) {
-        const double r = rows_[i].range_m - scene_.predict_m(rows_[i], antennas_[i], block, derivatives_);
+      for (std::size_t k = 0; k < now_.residuals.size(); ++k) {
+        const double r = now_.residuals[k];
         if (!std::isfinite(r)) continue;
         const double weight = student_weight(r, scale_m) / (scale_m * scale_m);
-        information += weight * derivatives_.block.lazyProduct(derivatives_.block.transpose());
-        gradient += weight * r * derivatives_.block;
+        const auto by_block = now_.by_block.col(static_cast<Eigen::Index>(k));
+        information += weight * by_block.lazyProduct(by_block.transpose());
+        gradient += weight * r * by_block;
       }
       bool improved = false;
       double gained = 0.0;
@@ -163,7 +177,7 @@ class Fitter {
         damped.diagonal().array() += 1e-9;
         const Eigen::VectorXd next = block + damped.ldlt().solve(gradient);
         double next_scale_m = scale_m;
-        const double next_cost = block_cost(range, next, next_scale_m, 2);
+        const double next_cost = block_cost(range, next, next_scale_m, 2, next_);
         improved = next_cost < cost;
         damping = improved ? std::max(1e-7, 0.2 * damping) : 8.0 * damping;
         if (!improved) continue;
@@ -171,6 +185,7 @@ class Fitter {
         block = next;
         cost = next_cost;
         scale_m = next_scale_m;
+        std::swap(now_, next_);
       }
       if (!improved || gained < 0.01) break;
     }
@@ -192,7 +207,6 @@ class Fitter {
     Eigen::MatrixXd row_shared(p, static_cast<Eigen::Index>(rows_.size()));
     double damping = 1e-3;
     std::vector<Eigen::Vector3d> next_antennas;
-    std::vector<double> next_residuals(rows_.size());
     for (int iteration = 0; iteration < max_iterations; ++iteration) {
       for (Eigen::Index k = 0; k < p; ++k) {
         Eigen::VectorXd at = best.at;
@@ -209,21 +223,22 @@ class Fitter {
       for (std::size_t i = 0; i < rows_.size(); ++i) {
         const auto column = static_cast<Eigen::Index>(i);
         row_shared.col(column).setZero();
-        if (!std::isfinite(residuals_[i])) continue;
+        const double r = now_.residuals[i];
+        if (!std::isfinite(r)) continue;
         const std::size_t b = rows_[i].block;
-        static_cast<void>(scene_.predict_m(rows_[i], antennas_[i], best.blocks[b], derivatives_));
+        const auto by_block = now_.by_block.col(column);
         for (Eigen::Index k = 0; k < p; ++k) {
           const Eigen::Vector3d by =
               (moved[static_cast<std::size_t>(k)][i] - antennas_[i]) / parameters_.step(k);
-          row_shared(k, column) = by.allFinite() ? derivatives_.antenna.dot(by) : 0.0;
+          row_shared(k, column) = by.allFinite() ? now_.by_antenna.col(column).dot(by) : 0.0;
         }
-        const double weight = student_weight(residuals_[i], best.scale_m) / (best.scale_m * best.scale_m);
-        a[b] += weight * derivatives_.block.lazyProduct(derivatives_.block.transpose());
-        g[b] += weight * residuals_[i] * derivatives_.block;
+        const double weight = student_weight(r, best.scale_m) / (best.scale_m * best.scale_m);
+        a[b] += weight * by_block.lazyProduct(by_block.transpose());
+        g[b] += weight * r * by_block;
         if (p == 0) continue;
-        c[b] += weight * derivatives_.block * row_shared.col(column).transpose();
-        shared += weight * row_shared.col(column) * row_shared.col(column).transpose();
-        shared_g += weight * residuals_[i] * row_shared.col(column);
+        c[b] += weight * by_block.lazyProduct(row_shared.col(column).transpose());
+        shared += weight * row_shared.col(column).lazyProduct(row_shared.col(column).transpose());
+        shared_g += weight * r * row_shared.col(column);
       }
       bool improved = false;
       double gained = 0.0;
@@ -247,15 +262,15 @@ class Fitter {
         next.at += step;
         for (std::size_t b = 0; b < blocks; ++b) next.blocks[b] += solvers[b].solve(g[b] - c[b] * step);
         locate(next.at, next_antennas);
-        compute_residuals(next_antennas, next.blocks, next_residuals);
-        score(next_residuals, next, 2);
+        evaluate_all(next_antennas, next.blocks, next_);
+        score(next_.residuals, next, 2);
         improved = next.cost < best.cost;
         damping = improved ? std::max(1e-8, 0.2 * damping) : 8.0 * damping;
         if (!improved) continue;
         gained = best.cost - next.cost;
         best = std::move(next);
         antennas_.swap(next_antennas);
-        residuals_.swap(next_residuals);
+        std::swap(now_, next_);
       }
       if (!improved || gained < kConverged) break;
     }
@@ -276,13 +291,13 @@ class Fitter {
     }
     Eigen::MatrixXd scores = Eigen::MatrixXd::Zero(p, kSlices);
     for (std::size_t i = 0; i < rows_.size(); ++i) {
-      if (!std::isfinite(residuals_[i])) continue;
-      const std::size_t b = rows_[i].block;
-      static_cast<void>(scene_.predict_m(rows_[i], antennas_[i], best.blocks[b], derivatives_));
-      const double weight = student_weight(residuals_[i], best.scale_m) / (best.scale_m * best.scale_m);
+      const double r = now_.residuals[i];
+      if (!std::isfinite(r)) continue;
+      const auto column = static_cast<Eigen::Index>(i);
+      const double weight = student_weight(r, best.scale_m) / (best.scale_m * best.scale_m);
       scores.col(rows_[i].slice) +=
-          weight * residuals_[i] *
-          (row_shared.col(static_cast<Eigen::Index>(i)) - gains[b].transpose() * derivatives_.block);
+          weight * r *
+          (row_shared.col(column) - gains[rows_[i].block].transpose() * now_.by_block.col(column));
     }
     const Eigen::MatrixXd inverse = information.ldlt().solve(Eigen::MatrixXd::Identity(p, p));
     best.covariance = inverse * (scores * scores.transpose()) * inverse + inverse;
@@ -295,8 +310,8 @@ class Fitter {
   Eigen::VectorXd prior_information_;
   RangeDerivatives derivatives_;
   std::vector<Eigen::Vector3d> antennas_;
-  std::vector<double> residuals_;
-  std::vector<double> block_residuals_;
+  Evaluated now_;   // of the best blocks and parameters; while a block is searched, of its rows alone
+  Evaluated next_;  // of a trial
 };
 
 }  // namespace

@@ -54,8 +54,8 @@ class Scene {
   // In the order of their blocks.
   [[nodiscard]] std::span<const RangeRow> rows() const noexcept { return rows_; }
   [[nodiscard]] virtual std::size_t block_count() const = 0;
-  // Place of the row's antenna if this is wrong with the data, m; NaN if it is unknown.
-  [[nodiscard]] virtual Eigen::Vector3d antenna_m(const RangeRow& row, const Mistake& mistake) const = 0;
+  // Places of the rows' antennas if this is wrong with the data, m; NaN if they are unknown.
+  virtual void locate(const Mistake& mistake, std::vector<Eigen::Vector3d>& antennas_m) const = 0;
   // Predicted range, m; `out.block` has the block's size.
   [[nodiscard]] virtual double predict_m(const RangeRow& row, const Eigen::Vector3d& antenna_m,
                                          const Eigen::VectorXd& block, RangeDerivatives& out) const = 0;

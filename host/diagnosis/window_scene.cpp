@@ -103,27 +103,47 @@ WindowScene::WindowScene(const Data& data, const model::Calibration& calibration
   if (static_cast<double>(windows_.size()) * length_s < kLeastReckoned_s) rows_.clear();
 }
 
-void WindowScene::reckon(const DeadReckoning::YawRateError& yaw_rate) const {
-  path_.emplace(odometry_, yaw_rate);
-  begins_.clear();
+const WindowScene::Motions& WindowScene::motions(const model::ClockError& clock,
+                                                 const DeadReckoning::YawRateError& yaw_rate) const {
+  const auto are_these = [&](const Motions& motions) {
+    return motions.of_rows.size() == rows_.size() && motions.yaw_rate == yaw_rate &&
+           motions.clock.offset_s == clock.offset_s && motions.clock.drift == clock.drift &&
+           motions.clock.reference_s == clock.reference_s;
+  };
+  if (are_these(motions_)) return motions_;
+  std::swap(motions_, former_motions_);
+  if (are_these(motions_)) return motions_;
+  motions_.clock = clock;
+  motions_.yaw_rate = yaw_rate;
+  motions_.of_rows.clear();
+  const DeadReckoning path(odometry_, yaw_rate);
+  std::vector<DeadReckoning::Place> begins;
+  std::vector<Eigen::Matrix2d> back;
   for (const double begin_s : windows_) {
-    const DeadReckoning::Place place = path_->at(begin_s);
-    begins_.push_back({place, Eigen::Rotation2Dd(-place.heading_rad).toRotationMatrix()});
+    begins.push_back(path.at(begin_s));
+    back.push_back(Eigen::Rotation2Dd(-begins.back().heading_rad).toRotationMatrix());
   }
+  for (const RangeRow& row : rows_) {
+    const DeadReckoning::Place now = path.at(clock.corrected_s(row.t_s));
+    const DeadReckoning::Place& begin = begins[row.block];
+    motions_.of_rows.push_back(
+        {back[row.block] * (now.position_m - begin.position_m),
+         Eigen::Rotation2Dd(now.heading_rad - begin.heading_rad).toRotationMatrix()});
+  }
+  return motions_;
 }
 
-Eigen::Vector3d WindowScene::antenna_m(const RangeRow& row, const Mistake& mistake) const {
-  const DeadReckoning::YawRateError yaw_rate{mistake.yaw_rate_scale, mistake.yaw_rate_bias_radps};
-  if (!path_ || path_->yaw_rate() != yaw_rate) reckon(yaw_rate);
-  const auto& [begin, back] = begins_[row.block];
-  const DeadReckoning::Place now = path_->at(mistake.clock.corrected_s(row.t_s));
-  Eigen::Vector3d lever_arm_m = data_.tags[row.tag].lever_arm_m;
-  if (row.tag == mistake.tag) lever_arm_m -= mistake.lever_arm_m;
-  Eigen::Vector3d out;
-  out.head<2>() = back * (now.position_m - begin.position_m) / mistake.speed_scale +
-                  Eigen::Rotation2Dd(now.heading_rad - begin.heading_rad) * lever_arm_m.head<2>();
-  out.z() = lever_arm_m.z() - mistake.height_m;
-  return out;
+void WindowScene::locate(const Mistake& mistake, std::vector<Eigen::Vector3d>& antennas_m) const {
+  const std::vector<Motion>& of_rows =
+      motions(mistake.clock, {mistake.yaw_rate_scale, mistake.yaw_rate_bias_radps}).of_rows;
+  antennas_m.clear();
+  for (std::size_t i = 0; i < rows_.size(); ++i) {
+    Eigen::Vector3d lever_arm_m = data_.tags[rows_[i].tag].lever_arm_m;
+    if (rows_[i].tag == mistake.tag) lever_arm_m -= mistake.lever_arm_m;
+    const Eigen::Vector2d place_m =
+        of_rows[i].way_m / mistake.speed_scale + of_rows[i].turn * lever_arm_m.head<2>();
+    antennas_m.emplace_back(place_m.x(), place_m.y(), lever_arm_m.z() - mistake.height_m);
+  }
 }
 
 double WindowScene::predict_m(const RangeRow& row, const Eigen::Vector3d& antenna_m,

@@ -3,7 +3,6 @@
 #pragma once
 
 #include <cstddef>
-#include <optional>
 #include <vector>
 
 #include <Eigen/Core>
@@ -24,7 +23,7 @@ class WindowScene final : public Scene {
   WindowScene(const Data& data, const model::Calibration& calibration, std::size_t most_rows);
 
   [[nodiscard]] std::size_t block_count() const override { return windows_.size(); }
-  [[nodiscard]] Eigen::Vector3d antenna_m(const RangeRow& row, const Mistake& mistake) const override;
+  void locate(const Mistake& mistake, std::vector<Eigen::Vector3d>& antennas_m) const override;
   [[nodiscard]] double predict_m(const RangeRow& row, const Eigen::Vector3d& antenna_m,
                                  const Eigen::VectorXd& block, RangeDerivatives& out) const override;
   [[nodiscard]] std::vector<Eigen::VectorXd> starts(
@@ -35,19 +34,26 @@ class WindowScene final : public Scene {
     Eigen::Vector3d anchor_m;
     model::TermVector terms;
   };
-  struct Begin {
-    DeadReckoning::Place place;
-    Eigen::Matrix2d back;  // from the frame of the path to that of base_link there
+  // Since the begin of a row's window, in the axes of base_link there; before scales of the speed.
+  struct Motion {
+    Eigen::Vector2d way_m;
+    Eigen::Matrix2d turn;
   };
-  void reckon(const DeadReckoning::YawRateError& yaw_rate) const;
+  struct Motions {
+    model::ClockError clock;
+    DeadReckoning::YawRateError yaw_rate;
+    std::vector<Motion> of_rows;
+  };
+  [[nodiscard]] const Motions& motions(const model::ClockError& clock,
+                                       const DeadReckoning::YawRateError& yaw_rate) const;
 
   const Data& data_;
   std::vector<model::OdometrySample> odometry_;  // joined
   std::vector<double> windows_;                  // begin of each, s
   std::vector<Pair> pairs_;                      // RangeRow::anchor is the index here
-  // With the error of the yaw rate that was asked for last.
-  mutable std::optional<DeadReckoning> path_;
-  mutable std::vector<Begin> begins_;  // of the windows
+  // Those that were asked for last, and before: a numerical derivative needs both in turn.
+  mutable Motions motions_;
+  mutable Motions former_motions_;
   // Rows of a block are asked for one after the other.
   mutable double turn_rad_ = 0.0;
   mutable Eigen::Matrix2d turn_ = Eigen::Matrix2d::Identity();

@@ -347,6 +347,7 @@ std::vector<model::PoseSample> parse_poses(const std::filesystem::path& path, st
                  {"p_tt", Presence::kOptional}});
   constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
   std::vector<model::PoseSample> poses;
+  poses.reserve(lines_of(text));
   std::vector<model::PoseSample> tilted;
   ImplausibleRows implausible;
   ImplausibleRows tilts;
