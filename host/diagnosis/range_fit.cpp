@@ -99,8 +99,7 @@ class Fitter {
   void evaluate_all(const std::vector<Eigen::Vector3d>& antennas, const std::vector<Eigen::VectorXd>& blocks,
                     Evaluated& out) {
     resize(out, rows_.size());
-    for (std::size_t i = 0; i < rows_.size(); ++i)
-      evaluate(i, antennas[i], blocks[rows_[i].block], out, i);
+    for (std::size_t i = 0; i < rows_.size(); ++i) evaluate(i, antennas[i], blocks[rows_[i].block], out, i);
   }
 
   // Scale and cost of these residuals, priors included.

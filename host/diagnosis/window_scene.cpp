@@ -126,9 +126,8 @@ const WindowScene::Motions& WindowScene::motions(const model::ClockError& clock,
   for (const RangeRow& row : rows_) {
     const DeadReckoning::Place now = path.at(clock.corrected_s(row.t_s));
     const DeadReckoning::Place& begin = begins[row.block];
-    motions_.of_rows.push_back(
-        {back[row.block] * (now.position_m - begin.position_m),
-         Eigen::Rotation2Dd(now.heading_rad - begin.heading_rad).toRotationMatrix()});
+    motions_.of_rows.push_back({back[row.block] * (now.position_m - begin.position_m),
+                                Eigen::Rotation2Dd(now.heading_rad - begin.heading_rad).toRotationMatrix()});
   }
   return motions_;
 }

@@ -220,8 +220,7 @@ void StartSearch::process(const model::RangeSample& range) noexcept {
   const Eigen::Vector3d back = step_of(sample, -(t_s_ - range.t_s + config_.range_delay_s));
   at.pose = Frame(at.pose).compose(back);
   at.path_m -= back.head<2>().norm();
-  seen(count_++) = {
-      .t_s = range.t_s, .anchor = anchor, .tag = tag, .range_m = range.range_m, .at = at};
+  seen(count_++) = {.t_s = range.t_s, .anchor = anchor, .tag = tag, .range_m = range.range_m, .at = at};
 }
 
 void StartSearch::drop_oldest() noexcept {
