@@ -113,9 +113,10 @@ class Fitter {
     fit.rows = 0;
     fit.slice_cost.clear();
     for (const StudentCost& slice : slices) {
-      sum += slice.sum();
+      const double cost = slice.sum();
+      sum += cost;
       fit.rows += slice.count();
-      fit.slice_cost.push_back(slice.sum() / static_cast<double>(slice.count()));  // NaN without rows
+      fit.slice_cost.push_back(cost / static_cast<double>(slice.count()));  // NaN without rows
     }
     for (const Eigen::VectorXd& block : fit.blocks) sum += prior_cost(scene_, block);
     sum += 0.5 * ((fit.at - parameters_.start).array() / parameters_.prior_sigma.array()).square().sum();

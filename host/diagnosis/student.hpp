@@ -7,6 +7,7 @@
 #include <cstddef>
 #include <span>
 
+#include "host/model/log_product.hpp"
 #include "host/model/types.hpp"
 
 namespace groma::diagnosis {
@@ -17,30 +18,23 @@ inline constexpr double kFreedom = 3.0;
 [[nodiscard]] inline double student_weight(double residual, double scale) noexcept {
   return (kFreedom + 1.0) / (kFreedom + model::square(residual / scale));
 }
-// Sum of -log densities, without their constants. The factors are multiplied first, because logarithms take
-// longer than all the rest.
+// Sum of -log densities, without their constants.
 class StudentCost {
  public:
   explicit StudentCost(double scale) noexcept : scale_(scale) {}
 
   void add(double residual) noexcept {
-    factors_ *= 1.0 + model::square(residual / scale_) / kFreedom;
+    factors_.multiply(1.0 + model::square(residual / scale_) / kFreedom);
     ++count_;
-    if (factors_ < kMost) return;
-    logarithms_ += std::log(factors_);
-    factors_ = 1.0;
   }
   [[nodiscard]] double sum() const noexcept {
-    return 0.5 * (kFreedom + 1.0) * (logarithms_ + std::log(factors_)) +
-           static_cast<double>(count_) * std::log(scale_);
+    return 0.5 * (kFreedom + 1.0) * factors_.logarithm() + static_cast<double>(count_) * std::log(scale_);
   }
   [[nodiscard]] std::size_t count() const noexcept { return count_; }
 
  private:
-  static constexpr double kMost = 1e150;  // numerics: keeps the next factor from overflowing (1.8e308)
   double scale_;
-  double factors_ = 1.0;
-  double logarithms_ = 0.0;
+  model::LogProduct factors_;
   std::size_t count_ = 0;
 };
 // The maximum-likelihood scale of the finite residuals, by the EM iteration from `scale`; not below `least`.

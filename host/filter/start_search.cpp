@@ -8,6 +8,7 @@
 #include <Eigen/Eigenvalues>
 
 #include "host/model/ablation.hpp"
+#include "host/model/log_product.hpp"
 #include "host/model/range_model.hpp"
 
 namespace groma::filter {
@@ -71,27 +72,20 @@ constexpr double kSameHeading_rad = 0.1;
 using model::square;
 
 // Sum of robust costs of residuals e in sigmas, each -ln of a Cauchy density: redescending, zero and with
-// unit curvature at e = 0. Logarithms dominate the cost of a search, so the factors are multiplied first.
+// unit curvature at e = 0.
 class RobustCost {
  public:
   void add(double e) noexcept {
     Side& side = e > 0.0 ? excess_ : shortfall_;
-    side.factors *= 1.0 + square(e / side.scale);
-    if (side.factors < kMost) return;
-    side.logarithms += std::log(side.factors);
-    side.factors = 1.0;
+    side.factors.multiply(1.0 + square(e / side.scale));
   }
   [[nodiscard]] double sum() const noexcept { return excess_.sum() + shortfall_.sum(); }
 
  private:
-  static constexpr double kMost = 1e150;  // numerics: keeps the next factor from overflowing (1.8e308)
   struct Side {
     double scale;
-    double factors = 1.0;
-    double logarithms = 0.0;
-    [[nodiscard]] double sum() const noexcept {
-      return 0.5 * square(scale) * (logarithms + std::log(factors));
-    }
+    model::LogProduct factors{};
+    [[nodiscard]] double sum() const noexcept { return 0.5 * square(scale) * factors.logarithm(); }
   };
   Side excess_{kExcessScale};
   Side shortfall_{kShortfallScale};
