@@ -3,6 +3,7 @@
 #pragma once
 
 #include <linux/can.h>
+#include <linux/can/error.h>
 #include <linux/can/raw.h>
 #include <net/if.h>
 #include <poll.h>
@@ -11,6 +12,7 @@
 
 #include <cstdint>
 #include <cstring>
+#include <deque>
 #include <exception>
 #include <optional>
 #include <span>
@@ -68,17 +70,21 @@ class VirtualCan {
   bool there_ = false;
 };
 
-// Another participant of the bus, which receives and can send any frame.
+// Another participant of the bus, which receives and can send any frame. A send returns when the bus has delivered
+// the frame: a busy kernel delivers later than write() returns.
 class CanParticipant {
  public:
   explicit CanParticipant(const std::string& interface)
       : fd_(::socket(PF_CAN, SOCK_RAW | SOCK_CLOEXEC, CAN_RAW)) {
     const int on = 1;
+    const can_err_mask_t every_error = CAN_ERR_MASK;
     sockaddr_can address{};
     address.can_family = AF_CAN;
     address.can_ifindex = static_cast<int>(::if_nametoindex(interface.c_str()));
     if (!fd_.valid() || address.can_ifindex == 0 ||
         ::setsockopt(fd_.get(), SOL_CAN_RAW, CAN_RAW_FD_FRAMES, &on, sizeof(on)) != 0 ||
+        ::setsockopt(fd_.get(), SOL_CAN_RAW, CAN_RAW_RECV_OWN_MSGS, &on, sizeof(on)) != 0 ||
+        ::setsockopt(fd_.get(), SOL_CAN_RAW, CAN_RAW_ERR_FILTER, &every_error, sizeof(every_error)) != 0 ||
         ::bind(fd_.get(), reinterpret_cast<const sockaddr*>(&address), sizeof(address)) != 0) {
       throw std::runtime_error("no CAN socket on " + interface);
     }
@@ -107,34 +113,62 @@ class CanParticipant {
     }
   }
 
-  // The next frame with a 29-bit id; waits up to two seconds for each frame.
+  // The next frame of the others with a 29-bit id; waits up to two seconds for each frame.
   [[nodiscard]] std::optional<wire::CanFrame> receive() const {
-    pollfd entry{fd_.get(), POLLIN, 0};
-    canfd_frame raw{};
-    while (::poll(&entry, 1, 2000) > 0) {
-      const ssize_t n = ::read(fd_.get(), &raw, sizeof(raw));
-      if (n < static_cast<ssize_t>(CAN_MTU)) break;
-      if ((raw.can_id & CAN_EFF_FLAG) == 0) continue;
+    for (;;) {
+      std::optional<Received> next;
+      if (waiting_.empty()) {
+        next = take();
+      } else {
+        next = waiting_.front();
+        waiting_.pop_front();
+      }
+      if (!next) return std::nullopt;
+      const canfd_frame& raw = next->frame;
+      if (next->own || (raw.can_id & (CAN_EFF_FLAG | CAN_ERR_FLAG)) != CAN_EFF_FLAG) continue;
       wire::CanFrame frame;
       frame.id = raw.can_id & CAN_EFF_MASK;
-      frame.format = n == static_cast<ssize_t>(CANFD_MTU) ? wire::CanFormat::kFd : wire::CanFormat::kClassic;
+      frame.format = next->size == CANFD_MTU ? wire::CanFormat::kFd : wire::CanFormat::kClassic;
       frame.bit_rate_switch =
           frame.format == wire::CanFormat::kFd && (raw.flags & static_cast<unsigned>(CANFD_BRS)) != 0;
       frame.size = raw.len;
       std::memcpy(frame.data.data(), raw.data, frame.data.size());
       return frame;
     }
-    return std::nullopt;
   }
 
  private:
+  struct Received {
+    canfd_frame frame{};
+    std::size_t size = 0;
+    bool own = false;
+  };
+
+  // The socket's next frame; waits up to two seconds.
+  [[nodiscard]] std::optional<Received> take() const {
+    pollfd entry{fd_.get(), POLLIN, 0};
+    if (::poll(&entry, 1, 2000) <= 0) return std::nullopt;
+    Received got;
+    iovec part{&got.frame, sizeof(got.frame)};
+    msghdr message{};
+    message.msg_iov = &part;
+    message.msg_iovlen = 1;
+    const ssize_t n = ::recvmsg(fd_.get(), &message, 0);
+    if (n < static_cast<ssize_t>(CAN_MTU)) return std::nullopt;
+    got.size = static_cast<std::size_t>(n);
+    got.own = (message.msg_flags & MSG_CONFIRM) != 0;
+    return got;
+  }
+
   void send_bytes(const void* frame, std::size_t size) const {
     if (::write(fd_.get(), frame, size) != static_cast<ssize_t>(size)) {
       throw std::runtime_error("a CAN frame could not be sent");
     }
+    for (std::optional<Received> next; (next = take()) && !next->own;) waiting_.push_back(*next);
   }
 
   io::Descriptor fd_;
+  mutable std::deque<Received> waiting_;  // Frames of the others that arrived during a send.
 };
 
 }  // namespace groma::test

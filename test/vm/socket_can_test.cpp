@@ -53,7 +53,7 @@ class SocketCan : public ::testing::Test {
   }
   static const CanCounters& counters(const ByteLink& link) { return *link.can_counters(); }
 
-  // Reads everything available. A virtual bus has delivered a frame when its sender continues.
+  // Reads everything available.
   static std::vector<std::uint8_t> read_all(ByteLink& link, std::size_t chunk = 512) {
     std::vector<std::uint8_t> all;
     std::vector<std::uint8_t> buffer(chunk);
