@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <future>
 #include <limits>
 #include <numbers>
 #include <span>
@@ -164,11 +165,17 @@ std::uint8_t optional_code(const CsvReader& csv, std::size_t column, std::uint8_
   return code >= 0 && code <= largest ? static_cast<std::uint8_t>(code) : std::uint8_t{0};
 }
 
+// The rows of ranges.csv.
+struct Ranges {
+  std::vector<model::RangeSample> kept;
+  std::vector<model::RangeSample> dropped_rows;  // Dataset::dropped_ranges
+  DroppedRows dropped;
+};
+
 // `anchors` is null if every anchor is accepted.
-std::vector<model::RangeSample> parse_ranges(const std::filesystem::path& path, std::string_view text,
-                                             const std::vector<model::Tag>& tags,
-                                             const std::vector<model::Anchor>* anchors, Dataset& dataset) {
-  DroppedRows& dropped = dataset.dropped;
+Ranges parse_ranges(const std::filesystem::path& path, std::string_view text,
+                    const std::vector<model::Tag>& tags, const std::vector<model::Anchor>* anchors) {
+  Ranges out;
   CsvReader csv(path, text,
                 {{"t_s"},
                  {"tag_id"},
@@ -184,8 +191,7 @@ std::vector<model::RangeSample> parse_ranges(const std::filesystem::path& path, 
   const std::vector<bool> known_tags = known_ids(tags);
   const std::vector<bool> known_anchors =
       anchors != nullptr ? known_ids(*anchors) : std::vector<bool>(kMaxId + 1, true);
-  std::vector<model::RangeSample> ranges;
-  ranges.reserve(lines_of(text));
+  out.kept.reserve(lines_of(text));
   while (csv.next()) {
     const double t_s = csv.number(0);
     const std::optional<model::NodeId> tag_id = node_id(csv, 1);
@@ -210,19 +216,19 @@ std::vector<model::RangeSample> parse_ranges(const std::filesystem::path& path, 
                                    corrections,
                                    network_time_dtu};
     if (!(range_m > 0.0 && range_m <= kMaxRange_m)) {
-      ++dropped.range_out_of_bounds;
+      ++out.dropped.range_out_of_bounds;
     } else if (!tag_id || !known_tags[*tag_id]) {
-      ++dropped.unknown_tag;
+      ++out.dropped.unknown_tag;
     } else if (!anchor_id || !known_anchors[*anchor_id]) {
-      ++dropped.unknown_anchor;
+      ++out.dropped.unknown_anchor;
     } else {
-      ranges.push_back(range);
+      out.kept.push_back(range);
       continue;
     }
-    if (tag_id && anchor_id) dataset.dropped_ranges.push_back(range);
+    if (tag_id && anchor_id) out.dropped_rows.push_back(range);
   }
-  put_in_order(ranges, kRangeKey, dropped);
-  return ranges;
+  put_in_order(out.kept, kRangeKey, out.dropped);
+  return out;
 }
 
 constexpr const char* kOdometryFile = "odometry.csv";
@@ -568,9 +574,12 @@ Dataset read_dataset(const std::filesystem::path& path, const ReadOptions& optio
   const bool with_anchors = options.surveyed_anchors && std::filesystem::exists(anchors);
   if (with_anchors) dataset.surveyed_anchors = parse_anchors(anchors, files.read(anchors));
 
-  const std::filesystem::path ranges = folder / "ranges.csv";
-  dataset.ranges = parse_ranges(ranges, files.read(ranges), dataset.tags,
-                                with_anchors ? &dataset.surveyed_anchors : nullptr, dataset);
+  // Beside the other files, because ranges.csv is as long as all of them together.
+  const std::filesystem::path ranges_path = folder / "ranges.csv";
+  auto ranges = std::async(std::launch::async, [&dataset, &ranges_path, with_anchors,
+                                                text = files.read(ranges_path)] {
+    return parse_ranges(ranges_path, text, dataset.tags, with_anchors ? &dataset.surveyed_anchors : nullptr);
+  });
 
   if (options.odometry) {
     const auto read = [&](const std::filesystem::path& file) { return files.read(file); };
@@ -596,6 +605,10 @@ Dataset read_dataset(const std::filesystem::path& path, const ReadOptions& optio
                              ? dataset.ground_truth
                              : parse_poses(prior, files.read(prior), dataset.dropped);
   }
+  Ranges parsed = ranges.get();
+  dataset.ranges = std::move(parsed.kept);
+  dataset.dropped_ranges = std::move(parsed.dropped_rows);
+  dataset.dropped += parsed.dropped;
   dataset.sha256 = files.digest();
   return dataset;
 }

@@ -27,6 +27,15 @@ struct DroppedRows {
   [[nodiscard]] std::size_t total() const {
     return range_out_of_bounds + unknown_tag + unknown_anchor + late + repeated + implausible;
   }
+  DroppedRows& operator+=(const DroppedRows& other) {
+    range_out_of_bounds += other.range_out_of_bounds;
+    unknown_tag += other.unknown_tag;
+    unknown_anchor += other.unknown_anchor;
+    late += other.late;
+    repeated += other.repeated;
+    implausible += other.implausible;
+    return *this;
+  }
 };
 
 inline constexpr double kMaxRange_m = 1000.0;

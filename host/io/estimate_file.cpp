@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include <cstddef>
+#include <future>
 #include <iterator>
 #include <string_view>
 
@@ -38,25 +39,30 @@ std::string format_estimate(std::span<const model::PlanarEstimate> rows,
                             std::span<const model::SpatialEstimate> spatial, const model::Surface& surface,
                             std::span<const RowWords> words) {
   const bool floors = surface.chart_count() > 1;
-  std::string text =
-      fmt::format("{},state,reason,{}{}\n", kPlanarColumns, kSpatialColumns, floors ? ",floor" : "");
-  // Pages of memory that are touched once cost as much as the digits in them.
-  constexpr std::size_t kTypicalRow = 340;
-  text.reserve(text.size() + kTypicalRow * rows.size());
-  for (std::size_t i = 0; i < rows.size(); ++i) {
-    add_planar(text, rows[i]);
-    const model::SpatialEstimate& at = spatial[i];
-    const auto p = at.covariance.block<3, 3>(2, 2);
-    fmt::format_to(std::back_inserter(text), ",{},{},{},{},{},{},{},{},{},{},{}", words[i].state,
-                   words[i].reason, at.z_m, at.roll_rad, at.pitch_rad, p(0, 0), p(0, 1), p(0, 2), p(1, 1),
-                   p(1, 2), p(2, 2));
-    if (floors) {
-      fmt::format_to(std::back_inserter(text), ",{}",
-                     surface.charts()[static_cast<std::size_t>(at.chart)].name);
+  const auto format = [&](std::size_t first, std::size_t end) {
+    std::string text;
+    // Pages of memory that are touched once cost as much as the digits in them.
+    constexpr std::size_t kTypicalRow = 340;
+    text.reserve(kTypicalRow * (end - first));
+    for (std::size_t i = first; i < end; ++i) {
+      add_planar(text, rows[i]);
+      const model::SpatialEstimate& at = spatial[i];
+      const auto p = at.covariance.block<3, 3>(2, 2);
+      fmt::format_to(std::back_inserter(text), ",{},{},{},{},{},{},{},{},{},{},{}", words[i].state,
+                     words[i].reason, at.z_m, at.roll_rad, at.pitch_rad, p(0, 0), p(0, 1), p(0, 2), p(1, 1),
+                     p(1, 2), p(2, 2));
+      if (floors) {
+        fmt::format_to(std::back_inserter(text), ",{}",
+                       surface.charts()[static_cast<std::size_t>(at.chart)].name);
+      }
+      text += '\n';
     }
-    text += '\n';
-  }
-  return text;
+    return text;
+  };
+  const std::size_t half = rows.size() / 2;
+  auto second = std::async(std::launch::async, format, half, rows.size());
+  return fmt::format("{},state,reason,{}{}\n", kPlanarColumns, kSpatialColumns, floors ? ",floor" : "") +
+         format(0, half) + second.get();
 }
 
 std::vector<model::PlanarEstimate> read_estimate(const std::filesystem::path& path) {
