@@ -45,6 +45,7 @@ struct GateConfig {
   // By hand: time constant over which a pair's history is forgotten. Gate.RemembersAnNlosPairForAWhile.
   double sticky_s = 2.0;
   double excess_m = 0.5;     // mean excess of NLOS ranges. By hand; a row of simulated racks adds 0.35 m
+  double short_share = 0.2;  // share of NLOS ranges that are too short (wrong calibration). By hand
   // For a pair that misses all polls: the share of its ranges that is NLOS, and the additional share that is
   // garbage. From half of the polls missed on, all of the NLOS excess has the larger mean kRegained_m. Both
   // by hand, in one step of six recorded campus runs (docs/explanation/filter.md: 71 % off at a reception of
@@ -93,7 +94,8 @@ struct Config {
   double hold_walk_mps = 1.0;    // m/s per sqrt(s)
   double hold_walk_radps = 0.5;  // rad/s per sqrt(s)
 
-  // White; used if the calibration has no range noise. By hand, as in model::RangePriors.
+  // White; used if the calibration has no range noise. By hand, as in model::RangePriors. Three times or a
+  // third of it costs little: RangeTuning.ASigmaThatIsWrongByThreeCostsLittleOverManyDrives (simulated).
   double range_sigma_m = 0.1;
   // Factor on the sigma of the calibration's slow range bias, for other drives. On its own drive the
   // calibration's beta, gamma and poses absorbed part of that bias. By hand: no derivation of the value is on
@@ -108,7 +110,7 @@ struct Config {
   int active_anchors = kMaxAnchors;
   double silent_s = 1.0;  // an anchor silent for this long may be replaced. By hand; ActiveSet.*
 
-  bool tunes_odometry = true;  // see odometry_tuning.hpp
+  bool tunes_noise = true;  // of ranges and odometry: see self_tuning.hpp
   // What wheels can push: see OdometryWatch. Physics: 0.8 g, a friction coefficient of 0.8.
   double max_acceleration_mps2 = 8.0;
   // ln of the prior odds against a slip: see SlipWatch. By hand: 6 in a million. SlipWatch.NoiseIsNoSlip

@@ -126,7 +126,7 @@ bool DeadReckoning<Covariance>::hold(const model::OdometrySample& sample) noexce
     inflation = now.watch.judge(now.odometry, held, noise);
   inflation.turn_rad2ps2 += curve_variance(noise, held.omega_radps, sample.t_s - now.odometry.t_s);
   if (keeps_cross(config.model)) {
-    if (config.tunes_odometry) now.odometry_tuning.observe(sample);
+    if (config.tunes_noise) now.odometry_tuning.observe(sample);
     const OdometryInflation slip = now.slip.judge(std::max(sample.t_s - now.odometry.t_s, 0.0));
     inflation.velocity_m2ps2 += slip.velocity_m2ps2;
     inflation.turn_rad2ps2 += slip.turn_rad2ps2;

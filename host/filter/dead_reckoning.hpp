@@ -10,7 +10,7 @@
 #include "host/filter/config.hpp"
 #include "host/filter/gate.hpp"
 #include "host/filter/odometry_gate.hpp"
-#include "host/filter/odometry_tuning.hpp"
+#include "host/filter/self_tuning.hpp"
 #include "host/filter/slip_watch.hpp"
 #include "host/filter/state.hpp"
 #include "host/model/surface.hpp"

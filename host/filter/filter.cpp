@@ -40,17 +40,18 @@ model::Calibration on_another_drive(model::Calibration calibration, const Config
 }
 
 // The original model uses nothing of the calibration but positions, so its noise is as configured.
-double range_sigma_m(const model::Calibration& calibration, const Config& config) noexcept {
+double white_sigma_m(const model::Calibration& calibration, const Config& config) noexcept {
   if (!calibration.range_noise || config.model == Model::kOriginal) return config.range_sigma_m;
   return calibration.range_noise->white_sigma_m;
 }
 
-Filter::Snapshot begin(const Site& site, const Config& config) {
+Filter::Snapshot begin(const Site& site, const Config& config, double white_sigma_m) {
   const Parameters parameters(site, config.active_anchors);
   return {MotionState(config),
           parameters,
           Gate(config.gate),
           SlipWatch(config.slip_odds),
+          RangeTuning(white_sigma_m),
           SensorGate(),
           JointCovariance(site, parameters, config.model)};
 }
@@ -67,8 +68,7 @@ Filter::Filter(model::Surface surface, std::span<const model::Tag> tags, const C
       site_(tags, here, model::is_ablated(Mechanism::kLeverArm) ? 0.0 : config.lever_arm_sigma_m),
       config_(config),
       delays_{config.range_delay_s, config.range_delay_sigma_s, config.odometry_delay_sigma_s},
-      white_sigma_m_(range_sigma_m(here, config)),
-      now_(begin(site_, config)) {
+      now_(begin(site_, config, white_sigma_m(here, config))) {
   if (here.range_noise && here.range_noise->bias_sigma_m > 0.0)
     range_bias_length_m_ = here.range_noise->bias_length_m;
   if (here.range_delay_sigma_s > 0.0) {
@@ -119,6 +119,7 @@ void Filter::begin_on_chart(int chart) noexcept {
   now_.gate.reset(now_.t_s);
   now_.slip_watch = SlipWatch(config_.slip_odds);
   now_.slip = {};
+  now_.tuning.reset();
   now_.sensors = {};
   now_.last_answer_s.fill(kNoAnswerYet_s);
   now_.started = true;
@@ -192,6 +193,7 @@ RangeResult Filter::correct(const model::RangeSample& range, const PairPlace& pa
   weigh(range, pair, result);
   watch_slip(pair, predicted, result);
   if (result.weight > 0.0) update(predicted, projected, result);  // x += K (z - z_n), Schmidt update
+  tune(pair, result);
   if (result.weight > 0.0) motion().follow_chart();
   return result;
 }
@@ -210,7 +212,7 @@ void Filter::project(const RangeMeasurement& predicted, const PairPlace& pair, P
 
 RangeResult Filter::innovation(double range_m, const RangeMeasurement& predicted,
                                double variance_m2) const noexcept {
-  const double white_m2 = square(white_sigma_m_);
+  const double white_m2 = square(now_.tuning.white_sigma_m());
   RangeResult result{.innovation_m = range_m - predicted.range_m,
                      .innovation_variance_m2 = variance_m2 + white_m2};
   result.nis = square(result.innovation_m) / result.innovation_variance_m2;
@@ -256,6 +258,14 @@ void Filter::watch_slip(const PairPlace& pair, const RangeMeasurement& predicted
   now_.slip.begin(displacement_m->norm(), now_.t_s);
   now_.covariance.grow(kX, displacement_m->squaredNorm());
   now_.covariance.grow(kY, displacement_m->squaredNorm());
+}
+
+void Filter::tune(const PairPlace& pair, const RangeResult& result) noexcept {
+  if (!keeps_cross(config_.model) || !config_.tunes_noise) return;
+  const double before = now_.tuning.range_bias_scale();
+  now_.tuning.observe(pair.slot, pair.tag, now_.t_s, result.innovation_m, result.innovation_variance_m2);
+  const double change = now_.tuning.range_bias_scale() / before;
+  if (range_bias_length_m_ > 0.0 && change != 1.0) now_.covariance.scale_range_biases(change);
 }
 
 void Filter::add(const CoreVector& change) noexcept {
@@ -363,6 +373,7 @@ void Filter::exchange(int slot, int anchor) noexcept {
   now_.covariance.augment(site_.anchor(anchor), slot, back, faded, now_.parameters);
   now_.gate.renew(slot, now_.t_s);
   now_.slip_watch.renew(slot);
+  now_.tuning.renew(slot);
 }
 
 void Filter::restore(const Snapshot& snapshot) noexcept {

@@ -132,6 +132,7 @@ class Filter {
     Parameters parameters;
     Gate gate;
     SlipWatch slip_watch;
+    RangeTuning tuning;
     SensorGate sensors;
     JointCovariance covariance;
     bool started = false;
@@ -139,8 +140,8 @@ class Filter {
     Counters counters{};
 
     void archive(model::StateArchive& state) {
-      state(static_cast<MotionState&>(*this), parameters, gate, slip_watch, sensors, covariance, started,
-            last_answer_s, counters);
+      state(static_cast<MotionState&>(*this), parameters, gate, slip_watch, tuning, sensors, covariance,
+            started, last_answer_s, counters);
     }
   };
   // Number of anchor exchanges that restore() can undo. A size; after as many, an absent anchor's covariance
@@ -206,7 +207,6 @@ class Filter {
   [[nodiscard]] const JointCovariance& covariance() const noexcept { return now_.covariance; }
   [[nodiscard]] const Parameters& parameters() const noexcept { return now_.parameters; }
   [[nodiscard]] const Site& site() const noexcept { return site_; }
-  [[nodiscard]] double white_sigma_m() const noexcept { return white_sigma_m_; }
 
  private:
   // here: the calibration, adapted to another drive than its own.
@@ -227,10 +227,11 @@ class Filter {
                                        double variance_m2) const noexcept;
   // Kalman update of the core, consider (Schmidt) update of the parameters.
   void update(const RangeMeasurement& predicted, Projected& projected, RangeResult& result) noexcept;
-  // Policy: weight of the range; slip detection before the update.
+  // Policy: weight of the range; slip detection before the update; noise tuning after it.
   void weigh(const model::RangeSample& range, const PairPlace& pair, RangeResult& result) noexcept;
   void watch_slip(const PairPlace& pair, const RangeMeasurement& predicted,
                   const RangeResult& result) noexcept;
+  void tune(const PairPlace& pair, const RangeResult& result) noexcept;
   template <class Sample>
   SensorResult take(const Sample& sample) noexcept;
   template <int kSize>
@@ -255,7 +256,6 @@ class Filter {
   Site site_;
   Config config_;
   LinkDelays delays_;
-  double white_sigma_m_;              // of a range
   double range_bias_length_m_ = 0.0;  // 0: no slow range bias
   Snapshot now_;
   std::vector<AnchorMemory> memories_;  // of each anchor of the site; empty if all are active

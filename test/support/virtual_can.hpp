@@ -70,8 +70,8 @@ class VirtualCan {
   bool there_ = false;
 };
 
-// Another participant of the bus, which receives and can send any frame. A send returns when the bus has delivered
-// the frame: a busy kernel delivers later than write() returns.
+// Another participant of the bus, which receives and can send any frame. A send returns when the bus has
+// delivered the frame: a busy kernel delivers later than write() returns.
 class CanParticipant {
  public:
   explicit CanParticipant(const std::string& interface)

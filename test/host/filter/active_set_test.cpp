@@ -118,7 +118,7 @@ Config config_with(Model model, int active) {
   // No NLOS, so that the gate's history of an anchor before its removal does not matter.
   config.gate.nlos_prior = 0.0;
   config.gate.garbage_share = 0.0;
-  config.tunes_odometry = false;
+  config.tunes_noise = false;
   return config;
 }
 

@@ -25,7 +25,7 @@ Config plain_config(Model model) {
   // All weights are 1, as in the reference.
   config.gate.nlos_prior = 0.0;
   config.gate.garbage_share = 0.0;
-  config.tunes_odometry = false;
+  config.tunes_noise = false;
   config.range_bias_growth = 1.0;
   return config;
 }

@@ -261,7 +261,7 @@ TEST(Filter, VelocityIsConsistentOverManyDrives) {
     double sum = 0.0;
     Config config = testing::config_of(Model::kSchmidt);
     config.odometry = {0.03 * noise, 0.03 * noise, 0.01 * noise};
-    config.tunes_odometry = false;
+    config.tunes_noise = false;
     for (int i = 0; i < kDrives; ++i) {
       const testing::Drive drive =
           testing::drive(surface, testing::six_anchors(), {},
@@ -347,7 +347,7 @@ TEST_P(Consistency, HoldsWithASlowRangeBiasOverManySites) {
   Config config = testing::config_of(GetParam());
   config.range_bias_growth = 1.0;
   // Keep the configured noise.
-  config.tunes_odometry = false;
+  config.tunes_noise = false;
   Random random(67);
   const Nees nees = nees_over_sites(kSites, calibration, calibration, config, random);
   EXPECT_NEAR(nees.mean, 1.0, 4.0 * std::sqrt(2.0 / (3.0 * kSites)));
@@ -365,7 +365,7 @@ double position_variance_m2(double speed_mps) {
   model::Calibration calibration = testing::six_anchors(0.01);
   calibration.range_noise = {.white_sigma_m = 0.05, .bias_sigma_m = 0.1, .bias_length_m = 0.3};
   Config config = testing::config_of(Model::kSchmidt);
-  config.tunes_odometry = false;
+  config.tunes_noise = false;
   const std::vector<model::Tag> tags = testing::three_tags();
   const auto filter = std::make_unique<Filter>(flat, tags, calibration, config);
   const Eigen::Vector3d velocity(speed_mps, 0.0, 0.5 * speed_mps);

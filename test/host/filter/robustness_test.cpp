@@ -14,7 +14,7 @@
 #include "host/filter/gate.hpp"
 #include "host/filter/odometry_gate.hpp"
 #include "host/filter/range_measurement.hpp"
-#include "host/filter/odometry_tuning.hpp"
+#include "host/filter/self_tuning.hpp"
 #include "test/host/filter/small_site.hpp"
 
 namespace groma::filter {
@@ -232,10 +232,80 @@ TEST(OdometryTuning, ASigmaThatIsWrongByThreeCostsLittleOverManyDrives) {
   });
 }
 
+TEST(RangeTuning, FindsTheWhiteSigmaDespiteSlowBiasAndNlos) {
+  constexpr double kSigma_m = 0.1;
+  for (const double nominal_m : {0.03, 0.1, 0.3}) {
+    RangeTuning tuning(nominal_m);
+    Random random(9);
+    double mean_m = 0.0;
+    for (int i = 0; i < 20000; ++i) {
+      const double t_s = 0.01 * i;
+      const double lasts_m = 0.1 * std::sin(0.3 * t_s);
+      const double excess_m = random.uniform() < 0.15 ? 2.0 * random.uniform() : 0.0;
+      tuning.observe(i % 6, 0, t_s, lasts_m + excess_m + kSigma_m * random.gaussian(),
+                     std::pow(tuning.white_sigma_m(), 2) + 0.005);
+      if (i >= 10000) mean_m += tuning.white_sigma_m() / 10000.0;
+    }
+    EXPECT_NEAR(mean_m, kSigma_m, 0.1 * kSigma_m) << nominal_m;
+  }
+}
+
+TEST(RangeTuning, DoesNotCompareRangesOfTwoAnchorsInASlot) {
+  constexpr double kNominal_m = 0.1;
+  RangeTuning tuning(kNominal_m);
+  for (int i = 0; i < 100; ++i) {
+    tuning.observe(0, 0, 0.1 * i, i % 2 == 0 ? -1.0 : 0.1, 0.01);
+    tuning.renew(0);
+  }
+  EXPECT_EQ(tuning.white_sigma_m(), kNominal_m);
+}
+
+TEST(RangeTuning, ASigmaThatIsWrongByThreeCostsLittleOverManyDrives) {
+  expect_little_cost(0.01, 2.5, [](Config& config, double factor) { config.range_sigma_m *= factor; });
+}
+
 // Feeds a pair with LOS ranges.
 void feed(Gate& gate, double from_s, double to_s, double every_s, Random& random) {
   for (double t_s = from_s; t_s < to_s; t_s += every_s)
     static_cast<void>(gate.weigh(0, 0, t_s, 0.1 * random.gaussian(), 0.01));
+}
+
+TEST(RangeTuning, LeavesTheComparisonModelsAtTheirNominalNoise) {
+  // A third of the nominal noise, and biases that these models lack: an adapted sigma would gate all ranges.
+  const model::Surface surface = testing::hills(0.2);
+  const model::Calibration calibration = testing::six_anchors();
+  Random random(75);
+  const testing::Drive drive =
+      testing::drive(surface, calibration, {1.0, -2.0, 0.4},
+                     {.duration_s = 60.0, .range_s = 0.01, .range_sigma_m = 0.03}, random);
+  for (const Model model : {Model::kOriginal, Model::kInflated}) {
+    Config config;
+    config.model = model;
+    config.odometry = {0.03, 0.03, 0.01};
+    const Errors errors = replay(surface, calibration, config, drive);
+    EXPECT_EQ(errors.filter->snapshot().tuning.white_sigma_m(), config.range_sigma_m);
+    EXPECT_LT(errors.max_m, 1.0) << model_name(model);
+  }
+  Config config;
+  config.odometry = {0.03, 0.03, 0.01};
+  EXPECT_NEAR(replay(surface, calibration, config, drive).filter->snapshot().tuning.white_sigma_m(), 0.03,
+              0.01);
+}
+
+// With hardly any other uncertainty, the variance of an innovation without the pose's part is the noise.
+TEST(RangeTuning, TheFilterWeighsRangesByTheEstimatedSigma) {
+  const model::Surface flat;
+  const model::Calibration calibration = testing::six_anchors(0.01);
+  Random random(76);
+  const testing::Drive drive = testing::drive(
+      flat, calibration, {1.0, -2.0, 0.4},
+      {.duration_s = 30.0, .range_s = 0.005, .range_sigma_m = 0.03, .lever_arm_sigma_m = 0.0}, random);
+  Config config = matching_config();
+  config.lever_arm_sigma_m = 0.0;
+  const Errors errors = replay(flat, calibration, config, drive);
+  const RangeResult result =
+      errors.filter->process(model::RangeSample{errors.filter->estimate().t_s, 1, 11, 15.0});
+  EXPECT_NEAR(std::sqrt(result.map_variance_m2), 0.03, 0.01);
 }
 
 TEST(Reception, ASilentPairRegainsTrustGradually) {

@@ -249,32 +249,14 @@ Config consistent_config() {
   return config;
 }
 
-// Mean errors and NEES over three drives; the worst of the maxima and durations, the fewest slips found.
-Slipped over_drives(const Disturbance& disturbance, const Config& config) {
-  constexpr std::uint64_t kFirst = 6;
-  constexpr std::uint64_t kDrives = 3;
-  Slipped all = drive_with(disturbance, kFirst, config);
-  for (std::uint64_t seed = kFirst + 1; seed < kFirst + kDrives; ++seed) {
-    const Slipped one = drive_with(disturbance, seed, config);
-    all.mean_m += one.mean_m;
-    all.nees += one.nees;
-    all.max_m = std::max(all.max_m, one.max_m);
-    all.wrong_s = std::max(all.wrong_s, one.wrong_s);
-    all.slips = std::min(all.slips, one.slips);
-  }
-  all.mean_m /= kDrives;
-  all.nees /= kDrives;
-  return all;
-}
-
 TEST(Slip, IsFoundAndCostsLittle) {
   Config blind = consistent_config();
   blind.slip_odds = 1e9;
   for (const double slip_mps : {-1.0, 0.5, 1.0, 2.0}) {
     for (const double length_s : {1.0, 3.0, 8.0}) {
       const Disturbance slip{.slip_mps = slip_mps, .length_s = length_s};
-      const Slipped with = over_drives(slip, consistent_config());
-      const Slipped without = over_drives(slip, blind);
+      const Slipped with = drive_with(slip, 6, consistent_config());
+      const Slipped without = drive_with(slip, 6, blind);
       const std::string name =
           "at_" + std::to_string(slip_mps) + "_mps_for_" + std::to_string(length_s) + "_s";
       RecordProperty(name + "_mean_m", std::to_string(with.mean_m));

@@ -216,7 +216,7 @@ TEST_P(Smoothing, IsConsistentWithASlowRangeBias) {
     const filter::Run run{drive.odometry, drive.ranges, tag, &flat, &calibration};
     filter::ReplayOptions options = options_of(GetParam());
     options.config.range_bias_growth = 1.0;
-    options.config.tunes_odometry = false;
+    options.config.tunes_noise = false;
     options.config.gate.nlos_prior = 0.0;
     options.config.gate.garbage_share = 0.0;
     options.start.position_sigma_m = 0.5;
@@ -250,7 +250,7 @@ TEST(Smoother, RangesOfAnAnchorThatIsKnownLessWellCountForLess) {
     filter::ReplayOptions options = options_of(filter::Model::kSchmidt);
     options.config.gate.nlos_prior = 0.0;
     options.config.gate.garbage_share = 0.0;
-    options.config.tunes_odometry = false;
+    options.config.tunes_noise = false;
     return smooth({drive.odometry, drive.ranges, tags, &flat, &off}, options).rows;
   };
   const auto drawn_m = [&](double sigma_m) {
@@ -275,7 +275,7 @@ TEST(Smoother, FollowsOdometryFromItsStartWithoutRanges) {
   for (int i = 0; i <= 20; ++i) odometry.push_back({0.1 * i, 1.0, 0.0, 0.0});
   filter::ReplayOptions options = options_of(filter::Model::kSchmidt);
   options.start = {.t_s = 0.0, .pose = {1.0, -2.0, 0.0}, .position_sigma_m = 0.1, .heading_sigma_rad = 0.05};
-  options.config.tunes_odometry = false;
+  options.config.tunes_noise = false;
   options.config.scale_sigma = 0.01;
   options.config.yaw_rate_bias_radps = 0.002;
   const Result result = smooth({odometry, {}, tags, &flat, &calibration}, options);
