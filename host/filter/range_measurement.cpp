@@ -24,7 +24,6 @@ model::SurfaceRange range_from(const model::Surface& surface, const Eigen::Vecto
   model::SurfaceRange out = model::predict_surface_range(ground, {pose.x(), pose.y(), pose.z()},
                                                          pair.lever_arm_m, position, pair.terms);
   // The pattern's contribution to the Jacobians is a tenth of the lever arm's and is neglected.
-  // The pattern's contribution to the derivatives is a tenth of the lever arm's and is neglected.
   out.range_m = out.range_m + pair.range_bias_m + model::pattern_terms(out.in_body).dot(pair.pattern_m);
   return out;
 }

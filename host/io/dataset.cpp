@@ -165,6 +165,20 @@ std::uint8_t optional_code(const CsvReader& csv, std::size_t column, std::uint8_
   return code >= 0 && code <= largest ? static_cast<std::uint8_t>(code) : std::uint8_t{0};
 }
 
+// Whether to keep a range; counts those that are dropped.
+bool accept(double range_m, bool knows_tag, bool knows_anchor, DroppedRows& dropped) {
+  if (!(range_m > 0.0 && range_m <= kMaxRange_m)) {
+    ++dropped.range_out_of_bounds;
+  } else if (!knows_tag) {
+    ++dropped.unknown_tag;
+  } else if (!knows_anchor) {
+    ++dropped.unknown_anchor;
+  } else {
+    return true;
+  }
+  return false;
+}
+
 // The rows of ranges.csv.
 struct Ranges {
   std::vector<model::RangeSample> kept;
@@ -215,17 +229,13 @@ Ranges parse_ranges(const std::filesystem::path& path, std::string_view text,
                                    line_of_sight,
                                    corrections,
                                    network_time_dtu};
-    if (!(range_m > 0.0 && range_m <= kMaxRange_m)) {
-      ++out.dropped.range_out_of_bounds;
-    } else if (!tag_id || !known_tags[*tag_id]) {
-      ++out.dropped.unknown_tag;
-    } else if (!anchor_id || !known_anchors[*anchor_id]) {
-      ++out.dropped.unknown_anchor;
-    } else {
+    const bool knows_tag = tag_id && known_tags[*tag_id];
+    const bool knows_anchor = anchor_id && known_anchors[*anchor_id];
+    if (accept(range_m, knows_tag, knows_anchor, out.dropped)) {
       out.kept.push_back(range);
-      continue;
+    } else if (tag_id && anchor_id) {
+      out.dropped_rows.push_back(range);
     }
-    if (tag_id && anchor_id) out.dropped_rows.push_back(range);
   }
   put_in_order(out.kept, kRangeKey, out.dropped);
   return out;
@@ -487,22 +497,14 @@ std::optional<model::Steering> parse_description(const YamlValue& yaml, const st
 // Drops the ranges that read_dataset() would drop from a folder.
 std::vector<model::RangeSample> keep_good(const std::vector<model::RangeSample>& ranges,
                                           const std::vector<model::Tag>& tags, Dataset& dataset) {
-  DroppedRows& dropped = dataset.dropped;
   const std::vector<bool> known_tags = known_ids(tags);
   std::vector<model::RangeSample> kept;
   kept.reserve(ranges.size());
   for (const model::RangeSample& range : ranges) {
-    if (!(range.range_m > 0.0 && range.range_m <= kMaxRange_m)) {
-      ++dropped.range_out_of_bounds;
-    } else if (!known_tags[range.tag_id]) {
-      ++dropped.unknown_tag;
-    } else {
-      kept.push_back(range);
-      continue;
-    }
-    dataset.dropped_ranges.push_back(range);
+    const bool is_good = accept(range.range_m, known_tags[range.tag_id], true, dataset.dropped);
+    (is_good ? kept : dataset.dropped_ranges).push_back(range);
   }
-  put_in_order(kept, kRangeKey, dropped);
+  put_in_order(kept, kRangeKey, dataset.dropped);
   return kept;
 }
 

@@ -39,11 +39,9 @@ std::string format_estimate(std::span<const model::PlanarEstimate> rows,
                             std::span<const model::SpatialEstimate> spatial, const model::Surface& surface,
                             std::span<const RowWords> words) {
   const bool floors = surface.chart_count() > 1;
-  const auto format = [&](std::size_t first, std::size_t end) {
-    std::string text;
-    // Pages of memory that are touched once cost as much as the digits in them.
-    constexpr std::size_t kTypicalRow = 340;
-    text.reserve(kTypicalRow * (end - first));
+  // Pages of memory that are touched once cost as much as the digits in them.
+  constexpr std::size_t kTypicalRow = 340;
+  const auto add = [&](std::string& text, std::size_t first, std::size_t end) {
     for (std::size_t i = first; i < end; ++i) {
       add_planar(text, rows[i]);
       const model::SpatialEstimate& at = spatial[i];
@@ -57,12 +55,20 @@ std::string format_estimate(std::span<const model::PlanarEstimate> rows,
       }
       text += '\n';
     }
-    return text;
   };
   const std::size_t half = rows.size() / 2;
-  auto second = std::async(std::launch::async, format, half, rows.size());
-  return fmt::format("{},state,reason,{}{}\n", kPlanarColumns, kSpatialColumns, floors ? ",floor" : "") +
-         format(0, half) + second.get();
+  auto second = std::async(std::launch::async, [&] {
+    std::string text;
+    text.reserve(kTypicalRow * (rows.size() - half));
+    add(text, half, rows.size());
+    return text;
+  });
+  std::string text =
+      fmt::format("{},state,reason,{}{}\n", kPlanarColumns, kSpatialColumns, floors ? ",floor" : "");
+  text.reserve(text.size() + kTypicalRow * rows.size());
+  add(text, 0, half);
+  text += second.get();
+  return text;
 }
 
 std::vector<model::PlanarEstimate> read_estimate(const std::filesystem::path& path) {
