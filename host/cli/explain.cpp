@@ -150,7 +150,7 @@ Moment moment_of(const filter::Tracker& tracker, const model::OdometrySample& sa
   return {.state = {sample.t_s, tracker.state(), tracker.reason()},
           .estimate = filter.estimate(),
           .white_sigma_m = now.tuning.white_sigma_m(),
-          .bias_sigma_m = std::sqrt(filter.site().range_bias_variance_m2) * now.tuning.range_bias_scale(),
+          .bias_sigma_m = std::sqrt(filter.site().range_bias_variance_m2),
           .sample_sigmas = filter.covariance().core().diagonal().segment<3>(filter::kOdometryVx).cwiseSqrt(),
           .diverged = now.gate.suspects_divergence(now.t_s),
           .jumps = now.watch.jumps(),

@@ -44,8 +44,7 @@ struct GateConfig {
   double nlos_max = 0.5;
   // By hand: time constant over which a pair's history is forgotten. Gate.RemembersAnNlosPairForAWhile.
   double sticky_s = 2.0;
-  double excess_m = 0.5;     // mean excess of NLOS ranges. By hand; a row of simulated racks adds 0.35 m
-  double short_share = 0.2;  // share of NLOS ranges that are too short (wrong calibration). By hand
+  double excess_m = 0.5;  // mean excess of NLOS ranges. By hand; a row of simulated racks adds 0.35 m
   // For a pair that misses all polls: the share of its ranges that is NLOS, and the additional share that is
   // garbage. From half of the polls missed on, all of the NLOS excess has the larger mean kRegained_m. Both
   // by hand, in one step of six recorded campus runs (docs/explanation/filter.md: 71 % off at a reception of

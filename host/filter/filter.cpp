@@ -262,10 +262,7 @@ void Filter::watch_slip(const PairPlace& pair, const RangeMeasurement& predicted
 
 void Filter::tune(const PairPlace& pair, const RangeResult& result) noexcept {
   if (!keeps_cross(config_.model) || !config_.tunes_noise) return;
-  const double before = now_.tuning.range_bias_scale();
   now_.tuning.observe(pair.slot, pair.tag, now_.t_s, result.innovation_m, result.innovation_variance_m2);
-  const double change = now_.tuning.range_bias_scale() / before;
-  if (range_bias_length_m_ > 0.0 && change != 1.0) now_.covariance.scale_range_biases(change);
 }
 
 void Filter::add(const CoreVector& change) noexcept {

@@ -71,7 +71,7 @@ double excess_density(double error_m, double sigma_m, double mean_m) noexcept {
 }
 
 // Probability densities of a range error, 1/m. los and nlos: LOS and NLOS, given that the range is no
-// garbage. NLOS ranges are too long, or with probability short_share too short.
+// garbage.
 struct RangeDensities {
   double los = 0.0;
   double nlos = 0.0;
@@ -85,9 +85,7 @@ RangeDensities range_densities(double error_m, double sigma_m, const GateConfig&
                                double missed) noexcept {
   const double far_share = std::min(missed / kFarMissed, 1.0);
   const double garbage_share = config.garbage_share + config.regained_garbage * missed;
-  const double short_share = model::is_ablated(Mechanism::kGateShort) ? 0.0 : config.short_share;
-  const double near = (1.0 - short_share) * excess_density(error_m, sigma_m, config.excess_m) +
-                      short_share * excess_density(-error_m, sigma_m, config.excess_m);
+  const double near = excess_density(error_m, sigma_m, config.excess_m);
   const double far = far_share > 0.0 ? far_share * excess_density(error_m, sigma_m, kRegained_m) : 0.0;
   return {.los = gaussian_density(error_m, sigma_m),
           .nlos = (1.0 - far_share) * near + far,

@@ -1,10 +1,9 @@
 // The gate: weight of a range from its innovation and its pair's history. It is independent of the update. It
 // also detects divergence, so that a wrong state does not refuse the right ranges for good.
 //
-// A pair is LOS (Gaussian innovation with the filter's variance S) or NLOS (plus an exponential excess: NLOS
-// ranges are too long, those of a wrong calibration may be too short). The pair keeps its state for a while.
-// Any single range may be garbage. The weight is the posterior probability of LOS, reduced for ranges whose
-// received powers hint at NLOS.
+// A pair is LOS (Gaussian innovation with the filter's variance S) or NLOS (plus an exponential excess). The
+// pair keeps its state for a while. Any single range may be garbage. The weight is the posterior probability
+// of LOS, reduced for ranges whose received powers hint at NLOS.
 #pragma once
 
 #include <array>

@@ -287,13 +287,6 @@ GroundRows JointCovariance::ground_cross() const noexcept {
   return out;
 }
 
-void JointCovariance::scale_range_biases(double factor) noexcept {
-  range_bias_variance_m2_ *= factor * factor;
-  settle_range_biases();
-  range_bias_scale_ = factor;
-  settle_range_biases();
-}
-
 void JointCovariance::settle_range_biases() noexcept {
   if (range_bias_scale_ == 1.0) return;
   for (int slot = 0; slot < layout_.anchor_count(); ++slot) {

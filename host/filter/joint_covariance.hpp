@@ -118,8 +118,6 @@ class JointCovariance {
   // Gauss-Markov decay of the slow range biases: their cross-covariances fall by the factor, their variance
   // stays.
   void fade_range_biases(double factor) noexcept;
-  // Scales the slow range biases: variance by the factor's square, cross-covariances by the factor.
-  void scale_range_biases(double factor) noexcept;
 
   // For models without cross-covariance: H P_cc H^T with out = P_cc H^T; J P_c J^T of (18); and the update of
   // the core.

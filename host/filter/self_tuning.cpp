@@ -18,17 +18,12 @@ constexpr double kHalfWithin = 0.6744897501960817;
 // too short count: if the sigma is far too small, they are the only ones that can increase it. Statistics:
 // 2.3 % of LOS ranges are longer.
 constexpr double kTooLong = 2.0;
-// Factor on the expected sigma: the state absorbs part of the slow range bias, which innovations do not show.
-// By hand; it has no test of its own.
-constexpr double kShown = 0.7;
 // Statistics: the third difference x0 - 3 x1 + 3 x2 - x3 of white noise has the variance
 // (1 + 9 + 9 + 1) sigma^2.
 constexpr double kThirdDifference = 4.47213595499958;
 // Differences of a pair's ranges that are closer in time show white noise. By hand;
 // RangeTuning.FindsTheWhiteSigmaDespiteSlowBiasAndNlos (a bias with a period of 21 s).
 constexpr double kDifference_s = 3.0;
-constexpr double kRangeBiasStep = 0.002;     // by hand: e-fold in 500 short ranges
-constexpr double kMaxRangeBiasFactor = 3.0;  // by hand
 constexpr double kMaxGap_s = 0.3;  // samples further apart show motion, not noise. By hand; OdometryTuning.*
 constexpr double kUneven = 0.3;    // relative difference allowed between gaps. By hand
 // Bound of the factor on the nominal sigma, up and down. By hand; OdometryTuning.* find factors of 0.12 to 8.
@@ -57,13 +52,6 @@ void RangeTuning::observe(int anchor, int tag, double t_s, double innovation_m, 
                    nominal_sigma_m_ / kMostFactor, nominal_sigma_m_ * kMostFactor);
   }
   last = {.t_s = t_s, .innovation_m = innovation_m};
-  // The slow range bias is estimated from ranges that are too short, because NLOS makes none of these.
-  if (innovation_m < 0.0 && !model::is_ablated(model::Mechanism::kRangeBiasNoise)) {
-    const double change =
-        innovation_m * innovation_m > kShown * kShown * kHalfWithin * kHalfWithin * variance_m2 ? 1.0 : -1.0;
-    range_bias_scale_ = std::clamp(range_bias_scale_ * (1.0 + kRangeBiasStep * change),
-                                   1.0 / kMaxRangeBiasFactor, kMaxRangeBiasFactor);
-  }
 }
 
 void RangeTuning::renew(int slot) noexcept {

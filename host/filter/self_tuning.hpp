@@ -25,8 +25,6 @@ class RangeTuning {
   void renew(int slot) noexcept;
 
   [[nodiscard]] double white_sigma_m() const noexcept { return white_sigma_m_; }
-  // Factor on the sigma of the slow range bias.
-  [[nodiscard]] double range_bias_scale() const noexcept { return range_bias_scale_; }
 
  private:
   struct Last {
@@ -36,7 +34,6 @@ class RangeTuning {
 
   double nominal_sigma_m_;
   double white_sigma_m_;
-  double range_bias_scale_ = 1.0;
   double differences_ = 0.0;  // number so far
   std::array<Last, kMaxPairs> last_{};
 };

@@ -24,17 +24,15 @@ enum class Mechanism : std::uint8_t {
   kGateTags,         // NLOS of one tag of an anchor makes NLOS of the others likelier
   kGateReception,    // missed polls
   kGatePowers,       // received powers
-  kGateShort,        // ranges that are too short
   kDivergence,       // divergence flag: the covariance grows while ranges are rejected
   kDivergenceStart,  // also raised where most ranges since a start are rejected
   // filter: noise and faults of odometry
-  kRangeNoise,      // white range noise, tuned by innovations
-  kRangeBiasNoise,  // sigma of the Gauss-Markov range bias, tuned by innovations
-  kOdometryNoise,   // white odometry noise, tuned by the samples
-  kOdometryGate,    // rejects samples that no robot can perform
-  kOdometryWatch,   // detects samples that the wheels cannot follow
-  kSlip,            // detects slip by the ranges of several anchors
-  kHold,            // growth while odometry is late
+  kRangeNoise,     // white range noise, tuned by innovations
+  kOdometryNoise,  // white odometry noise, tuned by the samples
+  kOdometryGate,   // rejects samples that no robot can perform
+  kOdometryWatch,  // detects samples that the wheels cannot follow
+  kSlip,           // detects slip by the ranges of several anchors
+  kHold,           // growth while odometry is late
   // tracker
   kCautiousCost,  // bound on the cost of one anchor in a start search
   // calibration

@@ -151,7 +151,6 @@ struct Weighed {
   const model::RangeSample* range = nullptr;
   double weight = 0.0;
   double white_m2 = 0.0;
-  double range_bias_scale = 1.0;
 };
 
 // An odometry sample as the filter held it.
@@ -170,7 +169,6 @@ struct Sighting {
   double way_m = 0.0;          // driven so far, horizontally
   double weight = 0.0;         // the gate's
   double white_m2 = 0.0;       // variance of its own noise
-  double bias_m2 = 0.0;        // variance of the pair's slow bias
   double of_the_pair = 1.0;    // number of ranges that share the slow bias, by weight
   double of_the_anchor = 1.0;  // number of ranges that share the error of the anchor's position
   double variance_m2 = 0.0;    // of all these
@@ -227,8 +225,7 @@ class Smoother {
                           .anchor = anchor,
                           .tag = tag,
                           .weight = weighed.weight,
-                          .white_m2 = weighed.white_m2,
-                          .bias_m2 = square(bias_sigma_m_ * weighed.range_bias_scale)});
+                          .white_m2 = weighed.white_m2});
   }
 
   Result solve() {
@@ -406,7 +403,7 @@ class Smoother {
     for (Sighting& sighting : sightings_) {
       // n ranges that share an error of variance s^2 say as much about it as n ranges with white errors of
       // variance n s^2.
-      sighting.variance_m2 = sighting.white_m2 + sighting.of_the_pair * sighting.bias_m2;
+      sighting.variance_m2 = sighting.white_m2 + sighting.of_the_pair * square(bias_sigma_m_);
       if (sighting.anchor->at >= 0 || !(sighting.weight > 0.0)) continue;
       const Eigen::RowVectorXd d_anchor =
           by_anchor(sighting, predict(sighting, values), values(shared_.frame() + 3));
@@ -522,7 +519,7 @@ class Smoother {
   std::vector<Held> rows_;
   Shared shared_;
   std::vector<model::PatternTerms> patterns_m_;
-  double bias_sigma_m_ = 0.0;  // of a pair's slow bias, before tuning
+  double bias_sigma_m_ = 0.0;  // of a pair's slow bias
   double bias_length_m_ = 0.0;
   Eigen::VectorXd unknowns_;
   std::vector<Eigen::Vector3d> states_;  // the pose at each sample
@@ -576,8 +573,7 @@ Result smooth(const filter::Run& run, const filter::ReplayOptions& options) {
     const filter::RangeTuning& tuning = tracker.filter().filter().snapshot().tuning;
     weighed.push_back({.range = &range,
                        .weight = result.weight,
-                       .white_m2 = square(tuning.white_sigma_m()) + result.regained_variance_m2,
-                       .range_bias_scale = tuning.range_bias_scale()});
+                       .white_m2 = square(tuning.white_sigma_m()) + result.regained_variance_m2});
   };
   const filter::ReplayResult beginning = filter::replay(once, first);
   if (beginning.rows.empty() || rows.size() < 2) return {};

@@ -333,9 +333,7 @@ TEST(Gate, WeightEqualsTheBayesianPosterior) {
       const double los = (1.0 - share) * (1.0 - config.garbage_share) *
                          std::exp(-0.5 * e_m * e_m / kVariance_m2) /
                          (kSigma_m * std::sqrt(2.0 * std::numbers::pi));
-      const double nlos = share * (1.0 - config.garbage_share) *
-                          ((1.0 - config.short_share) * with_excess(e_m, kSigma_m, config.excess_m) +
-                           config.short_share * with_excess(-e_m, kSigma_m, config.excess_m));
+      const double nlos = share * (1.0 - config.garbage_share) * with_excess(e_m, kSigma_m, config.excess_m);
       return std::pair{los, nlos};
     };
     const double garbage = config.garbage_share / config.garbage_width_m;
