@@ -200,11 +200,9 @@ link::LinkError Daemon::open_web(const WebSettings& settings) {
   outputs_.push_back(std::move(page));
   outputs_.push_back(std::move(foxglove));
   const std::string& address = settings.endpoint.address;
-  const bool is_v6 = address.find(':') != std::string::npos;
   log_(fmt::format("web server on {} port {}", address, web_listener_->port()));
-  log_(fmt::format(
-      "{}: {}://{}{}{}:{}", web::page_files().empty() ? "no live page, but counters" : "live page",
-      settings.tls ? "https" : "http", is_v6 ? "[" : "", address, is_v6 ? "]" : "", web_listener_->port()));
+  log_(fmt::format("{}: {}://{}", web::page_files().empty() ? "no live page, but counters" : "live page",
+                   settings.tls ? "https" : "http", authority(address, web_listener_->port())));
   return {};
 }
 

@@ -30,6 +30,11 @@ bool lacks_resources(int error) {
 
 }  // namespace
 
+std::string authority(const std::string& address, std::uint16_t port) {
+  const bool is_v6 = address.find(':') != std::string::npos;
+  return fmt::format("{}{}{}:{}", is_v6 ? "[" : "", address, is_v6 ? "]" : "", port);
+}
+
 TcpListener::Opened TcpListener::open(EventLoop& loop, const Endpoint& endpoint, std::string_view key,
                                       Accepted accepted) {
   link::ListeningSocket listening = link::listen_at(endpoint.address, endpoint.port, SOCK_STREAM, kBacklog);

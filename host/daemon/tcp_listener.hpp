@@ -20,6 +20,9 @@ struct Endpoint {
   std::uint16_t port = 0;
 };
 
+// As in a URL: "127.0.0.1:8080", "[::1]:8080".
+[[nodiscard]] std::string authority(const std::string& address, std::uint16_t port);
+
 class TcpListener {
  public:
   // Takes an accepted client, which does not block.

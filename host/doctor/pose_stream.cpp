@@ -45,8 +45,7 @@ std::string address_of(const daemon::Endpoint& endpoint) {
   std::string host = endpoint.address;
   if (host == "0.0.0.0") host = "127.0.0.1";
   if (host == "::") host = "::1";
-  const bool is_v6 = host.find(':') != std::string::npos;
-  return fmt::format("tcp://{}{}{}:{}", is_v6 ? "[" : "", host, is_v6 ? "]" : "", endpoint.port);
+  return "tcp://" + daemon::authority(host, endpoint.port);
 }
 
 PoseStream::Opened PoseStream::open(const std::string& address) {

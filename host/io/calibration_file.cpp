@@ -128,6 +128,8 @@ model::RangeNoise parse_range_noise(const YamlValue& yaml) {
   noise.white_sigma_m = std::sqrt(white_m2);
   noise.bias_sigma_m = std::sqrt(parse_variance(yaml.at("slow_variance_m2")));
   const auto time_s = yaml.find("slow_time_s");
+  if (time_s && yaml.find("slow_length_m"))
+    time_s->fail("contradicts slow_length_m, which took its place", "remove it");
   noise.bias_length_m =
       time_s ? kFormerSpeed_mps * time_s->positive_number() : yaml.at("slow_length_m").positive_number();
   return noise;

@@ -164,7 +164,12 @@ class CanParticipant {
     if (::write(fd_.get(), frame, size) != static_cast<ssize_t>(size)) {
       throw std::runtime_error("a CAN frame could not be sent");
     }
-    for (std::optional<Received> next; (next = take()) && !next->own;) waiting_.push_back(*next);
+    for (;;) {
+      const std::optional<Received> next = take();
+      if (!next) throw std::runtime_error("the bus did not deliver a frame within two seconds");
+      if (next->own) return;
+      waiting_.push_back(*next);
+    }
   }
 
   io::Descriptor fd_;

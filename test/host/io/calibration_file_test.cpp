@@ -15,6 +15,7 @@ namespace groma::io {
 namespace {
 
 using testing::HasSubstr;
+using testing::ThrowsMessage;
 
 // Numbers without a short decimal form.
 Eigen::MatrixXd awkward_covariance(Eigen::Index size, double seed) {
@@ -124,6 +125,9 @@ TEST(CalibrationFileTest, ReadsATimeOfTheSlowBiasAsTheWayAtOneMetrePerSecond) {
   ASSERT_NE(at, std::string::npos);
   text.replace(at, std::string("slow_length_m:").size(), "slow_time_s:");
   EXPECT_DOUBLE_EQ(parse_calibration("c.yaml", text).range_noise->bias_length_m, 1.0 / 3.0);
+  text.insert(at, "slow_length_m: 0.3, ");
+  EXPECT_THAT([&] { static_cast<void>(parse_calibration("c.yaml", text)); },
+              ThrowsMessage<ConfigError>(HasSubstr("contradicts slow_length_m")));
 }
 
 TEST(CalibrationFileTest, EveryVerdictHasAName) {
