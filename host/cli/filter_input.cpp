@@ -180,7 +180,10 @@ void FilterInput::expect_finite(std::span<const model::PlanarEstimate> rows,
 }
 
 std::vector<diagnosis::Finding> FilterInput::diagnose(const Drive& drive) {
-  return diagnosis::diagnose(diagnosis::data_of(drive.dataset), drive.calibration);
+  diagnosis::Data data = diagnosis::data_of(drive.dataset);
+  if (drive.options.knows_start)
+    data.start = {.t_s = drive.options.start.t_s, .pose = drive.options.start.pose};
+  return diagnosis::diagnose(std::move(data), drive.calibration);
 }
 
 std::optional<diagnosis::Finding> FilterInput::warn_of_mismatch(const filter::ReplayResult& result,

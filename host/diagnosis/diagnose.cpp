@@ -89,6 +89,7 @@ std::vector<Finding> diagnose(Data data) {
     append(std::move(ranges), findings);
     append(compare_with_survey(data), findings);
   }
+  append(find_long_lever_arms(data), findings);
   append(find_wrong_height(data), findings);
   append(find_unknown_nodes(data, ids_of(data.anchors), "anchors.csv"), findings);
   return findings;
@@ -103,6 +104,7 @@ std::vector<Finding> diagnose(Data data, const model::Calibration& calibration) 
     append(find_wrong_lengths(data), findings);
     append(compare_with_calibration(data, calibration), findings);
   }
+  append(find_long_lever_arms(data), findings);
   append(find_unknown_nodes(data, ids_of(calibration.anchors), "the calibration"), findings);
   return findings;
 }

@@ -16,6 +16,13 @@ Finding map_mismatch(std::optional<double> share) {
               "calibrate again (groma calibrate --update)"};
 }
 
+Finding lever_arms_in(const Unit& unit, std::string_view evidence) {
+  return {.cause = "length-unit",
+          .evidence = fmt::format("{}: the lever arms seem to be in {}", evidence, unit.name),
+          .remedy = "give the positions of tags.csv in metres",
+          .value = {unit.factor}};
+}
+
 nlohmann::ordered_json to_json(std::span<const Finding> findings) {
   auto out = nlohmann::ordered_json::array();
   for (const Finding& finding : findings) {

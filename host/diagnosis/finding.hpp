@@ -9,6 +9,7 @@
 
 #include <nlohmann/json_fwd.hpp>
 
+#include "host/diagnosis/units.hpp"
 #include "host/model/clock_error.hpp"
 #include "host/model/types.hpp"
 
@@ -30,6 +31,9 @@ struct Finding {
 // The calibration does not match this site. `share`: of the ranges that contradict it; none if no pose was
 // found that explains the ranges.
 [[nodiscard]] Finding map_mismatch(std::optional<double> share);
+
+// The positions of tags.csv are in that unit.
+[[nodiscard]] Finding lever_arms_in(const Unit& unit, std::string_view evidence);
 
 // A list of objects with cause, evidence, remedy and, if known, value, sigma and of.
 [[nodiscard]] nlohmann::ordered_json to_json(std::span<const Finding> findings);

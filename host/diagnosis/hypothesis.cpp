@@ -23,8 +23,6 @@
 namespace groma::diagnosis {
 namespace {
 
-// By hand: enough for a gain of 1 %, few enough for a second or two.
-constexpr std::size_t kMostRows = 3000;
 constexpr std::size_t kMostSearchRows = 600;
 constexpr std::size_t kMinRows = 200;
 // Where residuals are smaller than this many configured sigmas, a clock is off by little or not at all. By
@@ -34,6 +32,11 @@ constexpr double kFarSigmas = 1.5;
 // errors above zero (Vuong's test): errors within a slice may be correlated. By hand: one of fifty by chance,
 // beside kSignificance for the size.
 constexpr double kLeastGainSigmas = 2.0;
+// It is enough to be this many above zero where the gain is large, in log likelihood of a range: a robot that
+// moves in a few slices only shows a mistake there only. By hand: without a mistake, no hypothesis of a named
+// size gains more than 0.002 in any run.
+constexpr double kLargeGain = 0.1;
+constexpr double kLargeGainSigmas = 1.5;
 // A drift is an offset and more, which are certain together. To tell it from an offset needs less. By hand.
 constexpr double kDriftSignificance = 3.0;
 
@@ -171,6 +174,18 @@ Hypothesis swapped_tags(std::size_t a, std::size_t b, const Data& data) {
   return out;
 }
 
+Hypothesis unit_of_lever_arms(const Unit& unit) {
+  Hypothesis out;
+  out.penalty = kDiscretePenalty;
+  out.change = [unit](Data& changed) {
+    for (model::Tag& tag : changed.tags) tag.lever_arm_m /= unit.factor;
+  };
+  out.name = [unit](const RangeFit&) {
+    return lever_arms_in(unit, "the ranges fit the motion if all tags are nearer to base_link");
+  };
+  return out;
+}
+
 Hypothesis mirrored_tags() {
   Hypothesis out;
   // A little more than to swap: with two tags it may be the same, and to swap is more usual.
@@ -273,6 +288,11 @@ std::vector<Hypothesis> of_clock_and_tags(const Data& data, const RangeFit& give
   for (std::size_t tag = 0; tag < data.tags.size(); ++tag)
     out.push_back(wrong_lever_arm(tag, data, height_variance_m2));
   out.push_back(mirrored_tags());
+  // By hand: few robots are so long, and shorter ones in another unit are wrong by less than one.
+  constexpr double kLong_m = 1.0;
+  if (longest_lever_arm_m(data.tags) > kLong_m) {
+    for (const Unit& unit : kLengthUnits) out.push_back(unit_of_lever_arms(unit));
+  }
   return out;
 }
 
@@ -352,7 +372,8 @@ std::optional<Finding> find_likeliest(Data& data, const MakeScene& make_scene,
         hypothesis.correct(*fit, without_usual.emplace(data));
       }
       std::optional<Finding> finding = hypothesis.name(*fit);
-      if (!finding || gain_in_sigmas(fit->slice_cost, trials.given().slice_cost) < kLeastGainSigmas) continue;
+      const double least_sigmas = gain > kLargeGain ? kLargeGainSigmas : kLeastGainSigmas;
+      if (!finding || gain_in_sigmas(fit->slice_cost, trials.given().slice_cost) < least_sigmas) continue;
       best = std::move(finding);
       best_gain = gain;
       corrected = changed ? *changed : data;

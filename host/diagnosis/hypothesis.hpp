@@ -11,8 +11,12 @@
 #include "host/diagnosis/data.hpp"
 #include "host/diagnosis/finding.hpp"
 #include "host/diagnosis/range_fit.hpp"
+#include "host/diagnosis/units.hpp"
 
 namespace groma::diagnosis {
+
+// Of a scene that decides. By hand: enough for a gain of 1 %, few enough for a second or two.
+inline constexpr std::size_t kMostRows = 3000;
 
 // Penalty of a hypothesis without a parameter, in log likelihood of a range. By hand: in all runs such a
 // mistake costs at least four times as much.
@@ -40,6 +44,8 @@ struct Hypothesis {
 [[nodiscard]] Hypothesis swapped_tags(std::size_t a, std::size_t b, const Data& data);
 // `height_variance_m2`: how well the anchors' heights are known, together.
 [[nodiscard]] Hypothesis wrong_lever_arm(std::size_t tag, const Data& data, double height_variance_m2);
+// Of all tags.
+[[nodiscard]] Hypothesis unit_of_lever_arms(const Unit& unit);
 // All tags' y to the right.
 [[nodiscard]] Hypothesis mirrored_tags();
 [[nodiscard]] Hypothesis heading_offset();

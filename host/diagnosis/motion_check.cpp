@@ -15,6 +15,7 @@
 
 #include "host/diagnosis/constellation.hpp"
 #include "host/diagnosis/hypothesis.hpp"
+#include "host/diagnosis/start_check.hpp"
 #include "host/diagnosis/thresholds.hpp"
 #include "host/diagnosis/units.hpp"
 #include "host/diagnosis/window_scene.hpp"
@@ -274,10 +275,9 @@ std::vector<Finding> compare_with_calibration(Data& data, const model::Calibrati
   const MakeScene make_scene = [&](const Data& now, std::size_t most_rows) -> std::unique_ptr<Scene> {
     return std::make_unique<WindowScene>(now, calibration, most_rows);
   };
-  // Where dead reckoning fits the calibration in windows, the map is right.
-  constexpr double kFitSigmas = 3.0;  // by hand
   OdometryError error(make_scene);
-  double scale_m = std::numeric_limits<double>::infinity();  // of the windows' residuals
+  RangeFit windows;  // of the data, under no hypothesis
+  windows.scale_m = std::numeric_limits<double>::infinity();
   std::optional<Constellation> seen;
   const double height_m2 = height_variance_m2(calibration);
   const auto hypotheses = [&](const Data& now, const RangeFit& given) {
@@ -290,14 +290,19 @@ std::vector<Finding> compare_with_calibration(Data& data, const model::Calibrati
       if (!hypothesis.resembles_odometry) continue;
       for (Parameters& start : hypothesis.starts) start = error.with_these(start);
     }
-    scale_m = given.scale_m;
+    windows = given;
     seen = compare_constellation(now, calibration);
     if (seen && shows_exchange(*seen)) out.push_back(renumbered(seen->exchanged));
     return out;
   };
   std::vector<Finding> findings =
       find_mistakes(data, make_scene, hypotheses, 0.0, [&](Data& now) { error.remove(now); });
-  if (!findings.empty() || scale_m < kFitSigmas * data.priors.sigma_m) return findings;
+  if (!findings.empty()) return findings;
+  if (windows.scale_m < kFitSigmas * data.priors.sigma_m) {
+    if (auto found = find_wrong_start(data, WindowScene(data, calibration, kMostRows), windows))
+      findings.push_back(std::move(*found));
+    return findings;
+  }
   if (!seen) seen = compare_constellation(data, calibration);
   return find_mismatch(seen);
 }

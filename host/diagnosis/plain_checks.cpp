@@ -33,7 +33,7 @@ struct Times {
   std::string_view name;
   double begin_s = 0.0;
   double end_s = 0.0;
-  double interval_s = 0.0;  // median of those above zero
+  double interval_s = 0.0;  // median of the mean over some samples
 
   [[nodiscard]] double span_s() const noexcept { return end_s - begin_s; }
 };
@@ -41,13 +41,13 @@ struct Times {
 template <class Sample>
 void add_times(std::string_view name, const std::vector<Sample>& samples, std::vector<Times>& out) {
   if (samples.size() < kMinSamples) return;
+  // By hand: ranges may come in bursts, whose times differ by microseconds.
+  const std::size_t some = std::min<std::size_t>(samples.size() / 2, 100);
   std::vector<double> intervals_s;
-  for (std::size_t i = 1; i < samples.size(); ++i) {
-    const double interval_s = samples[i].t_s - samples[i - 1].t_s;
-    if (interval_s > 0.0) intervals_s.push_back(interval_s);
-  }
-  if (intervals_s.empty()) return;
-  out.push_back({name, samples.front().t_s, samples.back().t_s, model::median(std::move(intervals_s))});
+  for (std::size_t i = some; i < samples.size(); ++i)
+    intervals_s.push_back((samples[i].t_s - samples[i - some].t_s) / static_cast<double>(some));
+  const double interval_s = model::median(std::move(intervals_s));
+  if (interval_s > 0.0) out.push_back({name, samples.front().t_s, samples.back().t_s, interval_s});
 }
 
 template <class Sample>
@@ -75,8 +75,8 @@ std::vector<Times> times_of(const Data& data) {
 // A table in milliseconds lasts a thousand times as long as the others. By hand: tables of one drive differ
 // by less than a factor of 10 in duration, and units by at least 1000.
 constexpr double kSpanTolerance = 9.0;
-// By hand: no robot reports both its motion and its ranges more rarely than this, so that if the median
-// intervals of all tables are longer, they are in another unit.
+// By hand: no robot reports both its motion and its ranges more rarely than this, so that if the intervals of
+// all tables are longer, they are in another unit.
 constexpr double kLongestInterval_s = 0.5;
 
 // That of all tables, if none of them is in seconds.
@@ -94,9 +94,6 @@ std::optional<Unit> time_unit(const Times& of, std::span<const Times> all) {
       all.begin(), all.end(), [](const Times& a, const Times& b) { return a.span_s() < b.span_s(); });
   return unit_of(kTimeUnits, of.span_s() / shortest->span_s(), kSpanTolerance);
 }
-
-// Lever arms are metres: no robot of this program is longer. By hand.
-constexpr double kLongestLeverArm_m = 20.0;
 
 // A place at a time; none where it is unknown.
 using PlaceAt = std::function<std::optional<Eigen::Vector2d>(double t_s)>;
@@ -166,14 +163,15 @@ std::optional<double> range_change_ratio(const PlaceAt& place_at,
 // The middle of the ratio over all runs.
 constexpr double kTypicalRatio = 0.85;
 
-// The ratio over steps of 2 true metres (by hand), so that the noise of a range matters little, although the
-// places may be in feet or millimetres.
+// The ratio over steps of 2 true metres, so that the noise of a range matters little, although the places may
+// be in feet or millimetres; over shorter ones where the robot does not go so far. By hand.
 std::optional<double> range_change_ratio(const Data& data, const std::vector<model::RangeSample>& ranges) {
-  constexpr double kStep_m = 2.0;
   const PlaceAt place_at = data.poses.empty() ? places_on_way(data.odometry) : places_of(data.poses);
-  std::optional<double> ratio = range_change_ratio(place_at, ranges, kStep_m);
+  std::optional<double> ratio;
+  double step_m = 4.0;
+  while (!ratio && step_m > 0.5) ratio = range_change_ratio(place_at, ranges, step_m *= 0.5);
   for (int round = 0; round < 3 && ratio && *ratio > 0.0 && *ratio < 0.5 * kTypicalRatio; ++round) {
-    const auto again = range_change_ratio(place_at, ranges, kStep_m * kTypicalRatio / *ratio);
+    const auto again = range_change_ratio(place_at, ranges, step_m * kTypicalRatio / *ratio);
     if (!again) break;
     ratio = again;
   }
@@ -300,22 +298,6 @@ std::vector<Finding> find_wrong_times(Data& data) {
 
 std::vector<Finding> find_wrong_lengths(Data& data) {
   std::vector<Finding> findings;
-  double longest_m = 0.0;
-  for (const model::Tag& tag : data.tags) longest_m = std::max(longest_m, tag.lever_arm_m.norm());
-  if (longest_m > kLongestLeverArm_m) {
-    const auto unit = std::find_if(kLengthUnits.begin(), kLengthUnits.end(), [&](const Unit& of) {
-      return longest_m / of.factor < kLongestLeverArm_m / 4.0;
-    });
-    if (unit != kLengthUnits.end()) {
-      findings.push_back(
-          {.cause = "length-unit",
-           .evidence = fmt::format("a tag is {:.0f} m from base_link: the lever arms seem to be in {}",
-                                   longest_m, unit->name),
-           .remedy = "give the positions of tags.csv in metres",
-           .value = {unit->factor}});
-      for (model::Tag& tag : data.tags) tag.lever_arm_m /= unit->factor;
-    }
-  }
   std::set<model::NodeId> known;
   for (const model::Tag& tag : data.tags) known.insert(tag.id);
   std::vector<model::RangeSample> with_dropped;
@@ -366,6 +348,17 @@ std::vector<Finding> find_wrong_lengths(Data& data) {
     }
   }
   return findings;
+}
+
+std::vector<Finding> find_long_lever_arms(const Data& data) {
+  // By hand: no robot of this program is longer, and hardly one has a tag nearer to base_link than this.
+  constexpr double kLongest_m = 20.0;
+  constexpr double kShortest_m = 0.05;
+  const double longest_m = longest_lever_arm_m(data.tags);
+  if (!(longest_m > kLongest_m)) return {};
+  const auto unit = std::find_if(kLengthUnits.rbegin(), kLengthUnits.rend(),
+                                 [&](const Unit& of) { return longest_m / of.factor > kShortest_m; });
+  return {lever_arms_in(*unit, fmt::format("a tag is {:.0f} m from base_link", longest_m))};
 }
 
 std::vector<Finding> find_wrong_angles(Data& data) {

@@ -20,10 +20,13 @@ namespace groma::diagnosis {
 // Times that are not in seconds (`time-unit`, corrected) or do not overlap (`time-overlap`).
 [[nodiscard]] std::vector<Finding> find_wrong_times(Data& data);
 
-// Lever arms that are too long for a robot, and ranges that change by more, or far less, than the robot
-// moves by its poses, or without any by its odometry: `length-unit`, corrected. Moves ranges that are then
-// within bounds from dropped_ranges to ranges.
+// Ranges that change by more, or far less, than the robot moves by its poses, or without any by its odometry:
+// `length-unit`, corrected. Moves ranges that are then within bounds from dropped_ranges to ranges.
 [[nodiscard]] std::vector<Finding> find_wrong_lengths(Data& data);
+
+// Lever arms that are too long for a robot: `length-unit`. The unit is a guess; ranges that are compared with
+// the motion tell it.
+[[nodiscard]] std::vector<Finding> find_long_lever_arms(const Data& data);
 
 // Yaw of poses in degrees: `angle-unit`, corrected.
 [[nodiscard]] std::vector<Finding> find_wrong_angles(Data& data);

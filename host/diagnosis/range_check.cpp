@@ -40,7 +40,7 @@ std::vector<Finding> compare_with_survey(const Data& data) {
   constexpr std::size_t kSurveyRows = 3000;
   const AnchorScene scene(data, kSurveyRows);
   const RangeFit fit = fit_ranges(scene, {});
-  if (2 * fit.rows < scene.rows().size() || fit.scale_m > kMostSigmas * data.priors.sigma_m) return {};
+  if (2 * fit.rows < scene.rows().size() || fit.scale_m > kFitSigmas * data.priors.sigma_m) return {};
   // By hand: a survey and an estimate are better than 1 m, or where the anchor is far away, than 5 % of the
   // way.
   constexpr double kNear_m = 1.0;

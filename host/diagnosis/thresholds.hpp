@@ -12,6 +12,8 @@ inline constexpr double kSignificance = 5.0;
 // A fit whose residuals are larger than this many configured sigmas explains nothing: another mistake, or one
 // that is no hypothesis, is left. By hand: sigmas may be wrong by a factor of three.
 inline constexpr double kMostSigmas = 8.0;
+// Where residuals are smaller than this many, motion and ranges agree: what differs is the map. By hand.
+inline constexpr double kFitSigmas = 3.0;
 // Slices of the drive whose scores give the covariance of an estimate: errors within a slice may be
 // correlated in time.
 inline constexpr int kSlices = 20;

@@ -145,6 +145,18 @@ void WindowScene::locate(const Mistake& mistake, std::vector<Eigen::Vector3d>& a
   }
 }
 
+std::optional<Eigen::VectorXd> WindowScene::first_block(double t_s, const Eigen::Vector3d& pose) const {
+  if (windows_.empty() || std::abs(t_s - windows_.front()) > kLongestWindow_s) return std::nullopt;
+  const DeadReckoning path(odometry_, {});
+  const DeadReckoning::Place then = path.at(t_s);
+  const DeadReckoning::Place begin = path.at(windows_.front());
+  const double turn_rad = pose.z() - then.heading_rad;
+  const Eigen::Vector2d place_m =
+      pose.head<2>() + Eigen::Rotation2Dd(turn_rad) * (begin.position_m - then.position_m);
+  Eigen::VectorXd out = Eigen::Vector3d(place_m.x(), place_m.y(), begin.heading_rad + turn_rad);
+  return out.allFinite() ? std::optional(std::move(out)) : std::nullopt;
+}
+
 double WindowScene::predict_m(const RangeRow& row, const Eigen::Vector3d& antenna_m,
                               const Eigen::VectorXd& block, RangeDerivatives& out) const {
   const Pair& pair = pairs_[row.anchor];

@@ -8,6 +8,7 @@
 #include <nlohmann/json.hpp>
 
 #include "host/calibration/association.hpp"
+#include "host/diagnosis/plain_checks.hpp"
 #include "host/diagnosis/slice_gain.hpp"
 #include "test/host/diagnosis/mistakes.hpp"
 #include "test/support/random.hpp"
@@ -98,7 +99,8 @@ INSTANTIATE_TEST_SUITE_P(
     testing::Values(test::clock_offset(0.25), test::pose_clock_offset(-0.25),
                     test::odometry_clock_offset(0.25), test::clock_drift(0.01), test::time_overlap(),
                     test::time_unit(1e3), test::all_times_unit(1e3), test::all_times_unit(1e9),
-                    test::length_unit(1e3), test::odometry_length_unit(1e3), test::angle_unit(),
+                    test::length_unit(1e3), test::odometry_length_unit(1e3), test::lever_arm_unit(1e3),
+                    test::lever_arm_unit(1e2), test::lever_arm_unit(1.0 / 0.0254), test::angle_unit(),
                     test::tilt_unit(), test::heading_offset(1.5708), test::heading_sign(),
                     test::lateral_sign(), test::yaw_rate_sign(), test::yaw_rate_scale(1.1),
                     test::odometry_scale(0.9), test::swapped_tags(), test::lever_arm({0.5, 0.0, 0.0}),
@@ -119,6 +121,69 @@ TEST(Diagnose, AThirdOfASizeThatMattersIsNotNamed) {
     made.make(data);
     EXPECT_THAT(causes_of(diagnose(std::move(data))), testing::IsEmpty()) << made.cause;
   }
+}
+
+// All ranges of a round come with nearly one time.
+TEST(Diagnose, RangesInBurstsDoNotHideTheUnitOfTheTimes) {
+  Data data = small_drive(6);
+  constexpr double kRound_s = 0.12;
+  for (std::size_t i = 0; i < data.ranges.size(); ++i) {
+    data.ranges[i].t_s =
+        kRound_s * std::floor(data.ranges[i].t_s / kRound_s) + 1e-6 * static_cast<double>(i % 12);
+  }
+  const test::MistakeMade made = test::all_times_unit(1e6);
+  made.make(data);
+  const std::vector<Finding> findings = find_wrong_times(data);
+  ASSERT_THAT(causes_of(findings), testing::ElementsAre("time-unit"));
+  EXPECT_EQ(findings.front().value, made.value);
+}
+
+// A robot on a circle of 0.7 m radius is never 2 m from where it was.
+TEST(Diagnose, NamesTheUnitOfRangesInASmallRoom) {
+  Data data;
+  data.tags = {{1, Eigen::Vector3d::Zero()}};
+  for (int i = 0; i < 1000; ++i) {
+    const double t_s = 0.1 * i;
+    const Eigen::Vector2d place_m = 0.7 * Eigen::Vector2d(std::cos(0.5 * t_s), std::sin(0.5 * t_s));
+    data.poses.push_back({.t_s = t_s, .x_m = place_m.x(), .y_m = place_m.y()});
+    data.ranges.push_back({t_s, 1, 4, (place_m - Eigen::Vector2d(3.0, 1.0)).norm()});
+  }
+  EXPECT_THAT(find_wrong_lengths(data), testing::IsEmpty());
+  const test::MistakeMade made = test::length_unit(1e2);
+  made.make(data);
+  const std::vector<Finding> findings = find_wrong_lengths(data);
+  ASSERT_THAT(causes_of(findings), testing::ElementsAre("length-unit"));
+  EXPECT_EQ(findings.front().value, made.value);
+}
+
+// Most slices show nothing of a clock, as the robot stands; those in which it moves show it clearly.
+TEST(Diagnose, NamesAClockThatFewSlicesShow) {
+  constexpr double kStands_s = 20.0;
+  Data data = small_drive(6, 60.0);
+  const auto stands = [&](const auto& sample) { return sample.t_s > kStands_s; };
+  test::SmallNoise noise(6);
+  const model::PoseSample place = *std::prev(std::find_if(data.poses.begin(), data.poses.end(), stands));
+  std::map<std::pair<model::NodeId, model::NodeId>, double> last_m;
+  for (model::PoseSample& pose : data.poses) {
+    if (!stands(pose)) continue;
+    const double t_s = pose.t_s;
+    pose = place;
+    pose.t_s = t_s;
+  }
+  for (model::RangeSample& range : data.ranges) {
+    double& range_m = last_m[{range.tag_id, range.anchor_id}];
+    if (stands(range)) {
+      range.range_m = range_m + 0.08 * noise();
+    } else {
+      range_m = range.range_m;
+    }
+  }
+  data.odometry.clear();
+  const test::MistakeMade made = test::clock_offset(0.5);
+  made.make(data);
+  const std::vector<Finding> findings = diagnose(std::move(data));
+  ASSERT_THAT(causes_of(findings), testing::ElementsAre("clock-offset"));
+  expect_size(findings.front(), made);
 }
 
 TEST(Diagnose, NamesTwoMistakesAtOnce) {
@@ -167,8 +232,8 @@ INSTANTIATE_TEST_SUITE_P(Mistakes, DiagnoseWithCalibrationTest,
                                          test::swapped_tags(), test::tags_too_high(0.5),
                                          test::all_times_unit(1e6), test::length_unit(1e3),
                                          test::length_unit(1.0 / 0.3048), test::odometry_length_unit(1e3),
-                                         test::odometry_length_unit(1.0 / 0.3048), test::yaw_rate_unit(),
-                                         test::unknown_tag(), test::unknown_anchor(),
+                                         test::odometry_length_unit(1.0 / 0.3048), test::lever_arm_unit(1e3),
+                                         test::yaw_rate_unit(), test::unknown_tag(), test::unknown_anchor(),
                                          test::renumbered_anchors(), test::all_anchors_renumbered(),
                                          test::another_site()),
                          name_of);
@@ -177,6 +242,28 @@ TEST(Diagnose, WithACalibrationNamesNothingInAGoodDrive) {
   Data data = small_drive(8, kLonger_s);
   const model::Calibration calibration = surveyed(data);
   EXPECT_THAT(causes_of(diagnose(std::move(data), calibration)), testing::IsEmpty());
+}
+
+// What a filter starts from.
+TEST(Diagnose, NamesTheHeadingOfAWrongStart) {
+  Data data = small_drive(7, kLonger_s);
+  const model::Calibration calibration = surveyed(data);
+  const model::PoseSample truth = data.poses[20];
+  data.poses.clear();
+  const auto findings_from = [&](double yaw_rad) {
+    Data started = data;
+    started.start = {.t_s = truth.t_s, .pose = {truth.x_m, truth.y_m, yaw_rad}};
+    return diagnose(std::move(started), calibration);
+  };
+  EXPECT_THAT(findings_from(truth.yaw_rad + 0.1), testing::IsEmpty());
+  for (const double error_rad : {0.4, -0.5 * std::numbers::pi, std::numbers::pi}) {
+    const std::vector<Finding> findings = findings_from(truth.yaw_rad + error_rad);
+    ASSERT_THAT(causes_of(findings), testing::ElementsAre("heading-offset")) << error_rad;
+    EXPECT_NEAR(model::wrap_angle(findings.front().value.at(0) - error_rad), 0.0,
+                4.0 * findings.front().sigma.at(0));
+  }
+  EXPECT_THAT(causes_of(findings_from(-truth.yaw_rad)), testing::ElementsAre("heading-sign"));
+  EXPECT_THAT(causes_of(findings_from(truth.yaw_rad * test::kDegrees)), testing::ElementsAre("angle-unit"));
 }
 
 TEST(Diagnose, AnUnusableCalibrationProvesNothing) {

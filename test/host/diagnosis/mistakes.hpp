@@ -86,6 +86,14 @@ inline MistakeMade length_unit(double factor) {
           },
           {factor}};
 }
+inline MistakeMade lever_arm_unit(double factor) {
+  return {"unit of lever arms",
+          "length-unit",
+          [=](diagnosis::Data& data) {
+            for (model::Tag& tag : data.tags) tag.lever_arm_m *= factor;
+          },
+          {factor}};
+}
 inline constexpr double kDegrees = 180.0 / std::numbers::pi;  // in a radian
 inline MistakeMade angle_unit() {
   return {"yaw in degrees",

@@ -122,6 +122,7 @@ std::vector<test::MistakeMade> mistakes(Command command) {
     out.push_back(test::length_unit(factor));
     out.push_back(test::odometry_length_unit(factor));
   }
+  for (const double factor : {1e3, 1e2}) out.push_back(test::lever_arm_unit(factor));
   out.push_back(test::yaw_rate_unit());
   out.push_back(test::yaw_rate_sign());
   out.push_back(test::swapped_tags());

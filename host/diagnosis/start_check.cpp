@@ -1,0 +1,90 @@
+#include "host/diagnosis/start_check.hpp"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+#include <numbers>
+#include <utility>
+#include <vector>
+
+#include <Eigen/LU>
+
+#include "host/diagnosis/student.hpp"
+#include "host/diagnosis/thresholds.hpp"
+#include "host/diagnosis/units.hpp"
+#include "host/model/pose.hpp"
+
+namespace groma::diagnosis {
+namespace {
+
+// Sigma of the first window's heading, rad.
+double heading_sigma_rad(const WindowScene& scene, const RangeFit& fit) {
+  std::vector<Eigen::Vector3d> antennas_m;
+  scene.locate({}, antennas_m);
+  RangeDerivatives by{.block = Eigen::VectorXd::Zero(3)};
+  Eigen::Matrix3d information = Eigen::Matrix3d::Zero();
+  for (std::size_t i = 0; i < antennas_m.size() && scene.rows()[i].block == 0; ++i) {
+    const RangeRow& row = scene.rows()[i];
+    const double residual_m = row.range_m - scene.predict_m(row, antennas_m[i], fit.blocks.front(), by);
+    if (!std::isfinite(residual_m)) continue;
+    information += student_weight(residual_m, fit.scale_m) / model::square(fit.scale_m) * by.block *
+                   by.block.transpose();
+  }
+  return std::sqrt(std::max(0.0, information.inverse()(2, 2)));
+}
+
+}  // namespace
+
+std::optional<Finding> find_wrong_start(const Data& data, const WindowScene& scene, const RangeFit& best) {
+  // By hand: five sigmas of a start, from which a filter does not find back.
+  constexpr double kLeast_rad = 0.25;
+  constexpr double kTurn_rad = 7.0;  // a turn and a bit
+  // By hand, in log likelihood: headings that differ by less explain the window's ranges alike.
+  constexpr double kLeastGain = 30.0;
+  if (!data.start) return std::nullopt;
+  const double yaw_rad = data.start->pose.theta_rad;
+  const auto given =
+      scene.first_block(data.start->t_s, {data.start->pose.x_m, data.start->pose.y_m, yaw_rad});
+  if (!given) return std::nullopt;
+  const auto off_rad = [&](const Eigen::VectorXd& block) {
+    return model::wrap_angle(block(2) - best.blocks.front()(2));
+  };
+  const double error_rad = off_rad(*given);
+  const double sigma_rad = std::hypot(heading_sigma_rad(scene, best), kHeadingSystematic_rad);
+  const double least_rad = std::max(kLeast_rad, kSignificance * sigma_rad);
+  if (!(std::abs(error_rad) > least_rad)) return std::nullopt;
+  std::vector<Eigen::VectorXd> blocks = best.blocks;
+  blocks.front() = *given;
+  const RangeFit near = fit_ranges_near(scene, {}, std::move(blocks));
+  if (std::abs(off_rad(near.blocks.front())) > least_rad &&
+      (near.cost - best.cost) * static_cast<double>(best.rows) < kLeastGain) {
+    return std::nullopt;
+  }
+  // By what it is wrong tells the cause: the true heading is the given one less the error.
+  const double off_degrees_rad = std::abs(model::wrap_angle(yaw_rad / kDegrees.factor - yaw_rad + error_rad));
+  if (std::abs(yaw_rad) > kTurn_rad && off_degrees_rad < kLeast_rad) {
+    return Finding{.cause = "angle-unit",
+                   .evidence = "the ranges fit the start if its heading is in degrees",
+                   .remedy = "give the column yaw_rad of the poses in radians",
+                   .value = {kDegrees.factor}};
+  }
+  const double off_sign_rad = std::abs(model::wrap_angle(2.0 * yaw_rad - error_rad));
+  const double off_axis_rad = std::abs(std::remainder(error_rad, 0.5 * std::numbers::pi));
+  if (off_sign_rad < kLeast_rad && off_sign_rad < off_axis_rad) {
+    return Finding{.cause = "heading-sign",
+                   .evidence = "the ranges fit the start if its heading changes its sign",
+                   .remedy = "count the yaw of the poses counter-clockwise, from above"};
+  }
+  return Finding{
+      .cause = "heading-offset",
+      .evidence = fmt::format("the heading of the start is {:.1f} degrees off the one that the ranges show",
+                              error_rad * kDegrees.factor),
+      .remedy =
+          "give the yaw of base_link's x axis (forward) at the start, or leave the search for "
+          "the start to --relocate",
+      .value = {error_rad},
+      .sigma = {sigma_rad}};
+}
+
+}  // namespace groma::diagnosis

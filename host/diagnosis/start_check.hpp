@@ -1,0 +1,19 @@
+// The heading of the pose that a filter or smoother starts from, against the ranges of the drive's first
+// window.
+#pragma once
+
+#include <optional>
+
+#include "host/diagnosis/data.hpp"
+#include "host/diagnosis/finding.hpp"
+#include "host/diagnosis/range_fit.hpp"
+#include "host/diagnosis/window_scene.hpp"
+
+namespace groma::diagnosis {
+
+// `heading-offset`, `heading-sign` or `angle-unit`; none if the ranges leave the heading open, or without a
+// start. `best`: the fit of the scene, which is of these data.
+[[nodiscard]] std::optional<Finding> find_wrong_start(const Data& data, const WindowScene& scene,
+                                                      const RangeFit& best);
+
+}  // namespace groma::diagnosis
