@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <numbers>
 #include <utility>
 #include <vector>
@@ -18,20 +19,39 @@
 namespace groma::diagnosis {
 namespace {
 
-// Sigma of the first window's heading, rad.
-double heading_sigma_rad(const WindowScene& scene, const RangeFit& fit) {
+// Information of each block.
+std::vector<Eigen::Matrix3d> information_of(const WindowScene& scene, const RangeFit& fit) {
   std::vector<Eigen::Vector3d> antennas_m;
   scene.locate({}, antennas_m);
   RangeDerivatives by{.block = Eigen::VectorXd::Zero(3)};
-  Eigen::Matrix3d information = Eigen::Matrix3d::Zero();
-  for (std::size_t i = 0; i < antennas_m.size() && scene.rows()[i].block == 0; ++i) {
+  std::vector<Eigen::Matrix3d> out(scene.block_count(), Eigen::Matrix3d::Zero());
+  for (std::size_t i = 0; i < antennas_m.size(); ++i) {
     const RangeRow& row = scene.rows()[i];
-    const double residual_m = row.range_m - scene.predict_m(row, antennas_m[i], fit.blocks.front(), by);
+    const double residual_m = row.range_m - scene.predict_m(row, antennas_m[i], fit.blocks[row.block], by);
     if (!std::isfinite(residual_m)) continue;
-    information += student_weight(residual_m, fit.scale_m) / model::square(fit.scale_m) * by.block *
-                   by.block.transpose();
+    out[row.block] += student_weight(residual_m, fit.scale_m) / model::square(fit.scale_m) * by.block *
+                      by.block.transpose();
   }
-  return std::sqrt(std::max(0.0, information.inverse()(2, 2)));
+  return out;
+}
+
+// The window that shows the start's heading best, and its sigma.
+struct Shows {
+  std::size_t window = 0;
+  double sigma_rad = std::numeric_limits<double>::infinity();
+};
+Shows best_window(const WindowScene& scene, const RangeFit& fit, double start_s) {
+  constexpr double kDrift_radps = 0.001;  // of the odometry's heading, by hand
+  Shows best;
+  const std::vector<Eigen::Matrix3d> information = information_of(scene, fit);
+  for (std::size_t i = 0; i < information.size(); ++i) {
+    const double variance_rad2 = information[i].inverse()(2, 2);
+    if (!(variance_rad2 > 0.0)) continue;  // NaN if the window is singular
+    const double sigma_rad = std::hypot(std::sqrt(variance_rad2), kHeadingSystematic_rad,
+                                        kDrift_radps * (scene.windows()[i] - start_s));
+    if (sigma_rad < best.sigma_rad) best = {i, sigma_rad};
+  }
+  return best;
 }
 
 }  // namespace
@@ -43,21 +63,21 @@ std::optional<Finding> find_wrong_start(const Data& data, const WindowScene& sce
   // By hand, in log likelihood: headings that differ by less explain the window's ranges alike.
   constexpr double kLeastGain = 30.0;
   if (!data.start) return std::nullopt;
-  const double yaw_rad = data.start->pose.theta_rad;
-  const auto given =
-      scene.first_block(data.start->t_s, {data.start->pose.x_m, data.start->pose.y_m, yaw_rad});
-  if (!given) return std::nullopt;
-  const auto off_rad = [&](const Eigen::VectorXd& block) {
-    return model::wrap_angle(block(2) - best.blocks.front()(2));
-  };
-  const double error_rad = off_rad(*given);
-  const double sigma_rad = std::hypot(heading_sigma_rad(scene, best), kHeadingSystematic_rad);
+  const auto [window, sigma_rad] = best_window(scene, best, data.start->t_s);
   const double least_rad = std::max(kLeast_rad, kSignificance * sigma_rad);
+  if (!(least_rad < std::numbers::pi)) return std::nullopt;
+  const double yaw_rad = data.start->pose.theta_rad;
+  const Eigen::VectorXd given =
+      scene.block_from(window, data.start->t_s, {data.start->pose.x_m, data.start->pose.y_m, yaw_rad});
+  const auto off_rad = [at = window, &best](const Eigen::VectorXd& block) {
+    return model::wrap_angle(block(2) - best.blocks[at](2));
+  };
+  const double error_rad = off_rad(given);
   if (!(std::abs(error_rad) > least_rad)) return std::nullopt;
   std::vector<Eigen::VectorXd> blocks = best.blocks;
-  blocks.front() = *given;
+  blocks[window] = given;
   const RangeFit near = fit_ranges_near(scene, {}, std::move(blocks));
-  if (std::abs(off_rad(near.blocks.front())) > least_rad &&
+  if (std::abs(off_rad(near.blocks[window])) > least_rad &&
       (near.cost - best.cost) * static_cast<double>(best.rows) < kLeastGain) {
     return std::nullopt;
   }

@@ -145,16 +145,14 @@ void WindowScene::locate(const Mistake& mistake, std::vector<Eigen::Vector3d>& a
   }
 }
 
-std::optional<Eigen::VectorXd> WindowScene::first_block(double t_s, const Eigen::Vector3d& pose) const {
-  if (windows_.empty() || std::abs(t_s - windows_.front()) > kLongestWindow_s) return std::nullopt;
+Eigen::VectorXd WindowScene::block_from(std::size_t index, double t_s, const Eigen::Vector3d& pose) const {
   const DeadReckoning path(odometry_, {});
   const DeadReckoning::Place then = path.at(t_s);
-  const DeadReckoning::Place begin = path.at(windows_.front());
+  const DeadReckoning::Place begin = path.at(windows_[index]);
   const double turn_rad = pose.z() - then.heading_rad;
   const Eigen::Vector2d place_m =
       pose.head<2>() + Eigen::Rotation2Dd(turn_rad) * (begin.position_m - then.position_m);
-  Eigen::VectorXd out = Eigen::Vector3d(place_m.x(), place_m.y(), begin.heading_rad + turn_rad);
-  return out.allFinite() ? std::optional(std::move(out)) : std::nullopt;
+  return Eigen::Vector3d(place_m.x(), place_m.y(), begin.heading_rad + turn_rad);
 }
 
 double WindowScene::predict_m(const RangeRow& row, const Eigen::Vector3d& antenna_m,

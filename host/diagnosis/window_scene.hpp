@@ -3,7 +3,7 @@
 #pragma once
 
 #include <cstddef>
-#include <optional>
+#include <span>
 #include <vector>
 
 #include <Eigen/Core>
@@ -29,9 +29,10 @@ class WindowScene final : public Scene {
                                  const Eigen::VectorXd& block, RangeDerivatives& out) const override;
   [[nodiscard]] std::vector<Eigen::VectorXd> starts(
       std::span<const RangeRow> rows, std::span<const Eigen::Vector3d> antennas_m) const override;
-  // Of the first window, if base_link is at x, y (m) and heading (rad) at t_s; none if it begins more than a
-  // minute before or after that, or without odometry in between.
-  [[nodiscard]] std::optional<Eigen::VectorXd> first_block(double t_s, const Eigen::Vector3d& pose) const;
+  // Begin of each block's window, s.
+  [[nodiscard]] std::span<const double> windows() const noexcept { return windows_; }
+  // The block if base_link is at x, y (m) and heading (rad) at t_s, by dead reckoning; NaN without odometry.
+  [[nodiscard]] Eigen::VectorXd block_from(std::size_t index, double t_s, const Eigen::Vector3d& pose) const;
 
  private:
   struct Pair {
