@@ -1,5 +1,4 @@
-// The heading of the pose that a filter or smoother starts from, against the ranges of the drive's first
-// window.
+// The heading of the pose that a filter or smoother starts from, against the ranges of a window of the drive.
 #pragma once
 
 #include <optional>
