@@ -160,7 +160,7 @@ Hypothesis clock_drift(std::optional<double> start_s, double begin_s, double end
 
 Hypothesis swapped_tags(std::size_t a, std::size_t b, const Data& data) {
   Hypothesis out;
-  out.penalty = kDiscretePenalty;
+  out.least_gain = kLeastDiscreteGain;
   out.change = [a, b](Data& changed) { std::swap(changed.tags[a].lever_arm_m, changed.tags[b].lever_arm_m); };
   out.name = [ids = std::vector{data.tags[a].id, data.tags[b].id}](const RangeFit&) {
     return Finding{
@@ -176,7 +176,7 @@ Hypothesis swapped_tags(std::size_t a, std::size_t b, const Data& data) {
 
 Hypothesis unit_of_lever_arms(const Unit& unit) {
   Hypothesis out;
-  out.penalty = kDiscretePenalty;
+  out.least_gain = kLeastDiscreteGain;
   out.change = [unit](Data& changed) {
     for (model::Tag& tag : changed.tags) tag.lever_arm_m /= unit.factor;
   };
@@ -189,7 +189,8 @@ Hypothesis unit_of_lever_arms(const Unit& unit) {
 Hypothesis mirrored_tags() {
   Hypothesis out;
   // A little more than to swap: with two tags it may be the same, and to swap is more usual.
-  out.penalty = 1.05 * kDiscretePenalty;
+  out.least_gain = kLeastDiscreteGain;
+  out.penalty = 0.005;
   out.change = [](Data& changed) {
     for (model::Tag& tag : changed.tags) tag.lever_arm_m.y() = -tag.lever_arm_m.y();
   };
@@ -261,7 +262,7 @@ Hypothesis heading_offset() {
 
 Hypothesis heading_sign() {
   Hypothesis out;
-  out.penalty = kDiscretePenalty;
+  out.least_gain = kLeastDiscreteGain;
   out.change = [](Data& data) {
     for (model::PoseSample& pose : data.poses) pose.yaw_rad = -pose.yaw_rad;
   };
@@ -320,7 +321,7 @@ class Trials {
     const Data& data = changed != nullptr ? *changed : data_;
     if (!few_given_) few_given_ = fit_ranges(*make_scene_(data_, kMostSearchRows), {});
     const RangeFit few = fit_ranges(*make_scene_(data, kMostSearchRows), start);
-    if (few_given_->cost - few.cost < hypothesis.penalty) return std::nullopt;
+    if (few_given_->cost - few.cost < hypothesis.least_gain) return std::nullopt;
     return fit_ranges(changed != nullptr ? *make_scene_(data, kMostRows) : *scene_, start);
   }
 
@@ -362,11 +363,11 @@ std::optional<Finding> find_likeliest(Data& data, const MakeScene& make_scene,
       const double penalty =
           hypothesis.penalty +
           0.5 * std::log(rows) / rows * static_cast<double>(start.start.size() - start.nuisances);
-      if (trials.given().cost - fit->cost - penalty < best_gain || 2 * fit->rows < trials.given().rows)
-        continue;
+      const double least = std::max(best_gain, hypothesis.least_gain);
+      if (trials.given().cost - fit->cost - penalty < least || 2 * fit->rows < trials.given().rows) continue;
       trials.improve_given(*fit);
       const double gain = trials.given().cost - fit->cost - penalty;
-      if (gain < best_gain || fit->scale_m > kMostSigmas * data.priors.sigma_m) continue;
+      if (gain < least || fit->scale_m > kMostSigmas * data.priors.sigma_m) continue;
       if (hypothesis.is_usual && hypothesis.is_usual(*fit)) {
         usual_gain = gain;
         hypothesis.correct(*fit, without_usual.emplace(data));

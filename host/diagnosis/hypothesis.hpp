@@ -18,14 +18,15 @@ namespace groma::diagnosis {
 // Of a scene that decides. By hand: enough for a gain of 1 %, few enough for a second or two.
 inline constexpr std::size_t kMostRows = 3000;
 
-// Penalty of a hypothesis without a parameter, in log likelihood of a range. By hand: in all runs such a
-// mistake costs at least four times as much.
-inline constexpr double kDiscretePenalty = 0.1;
+// Least gain of a hypothesis without a parameter over the data as given, in log likelihood of a range. By
+// hand: in all runs such a mistake costs at least four times as much.
+inline constexpr double kLeastDiscreteGain = 0.1;
 
 struct Hypothesis {
   std::function<void(Data&)> change;  // of the data, before the fit; may be empty
   std::vector<Parameters> starts{Parameters{}};
-  double penalty = 0.0;             // beside that of its parameters
+  double least_gain = 0.0;          // over the data as given, in log likelihood of a range
+  double penalty = 0.0;             // beside that of its parameters, to others that explain as much
   bool resembles_odometry = false;  // a part of it looks like the errors that good odometry has
   // The finding, if the error is large and certain enough to be named.
   std::function<std::optional<Finding>(const RangeFit&)> name;

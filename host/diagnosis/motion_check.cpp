@@ -64,7 +64,7 @@ Hypothesis scalar(const Scalar& of) {
 Hypothesis changed(std::function<void(Data&)> change, std::string_view cause, const std::string& evidence,
                    const std::string& remedy, const std::vector<double>& value = {}) {
   Hypothesis out;
-  out.penalty = kDiscretePenalty;
+  out.least_gain = kLeastDiscreteGain;
   out.change = std::move(change);
   out.name = [=](const RangeFit&) {
     return Finding{
@@ -229,7 +229,7 @@ class OdometryError {
 
 Hypothesis renumbered(const std::map<model::NodeId, model::NodeId>& exchanged) {
   Hypothesis out;
-  out.penalty = kDiscretePenalty;
+  out.least_gain = kLeastDiscreteGain;
   out.change = [exchanged](Data& data) {
     for (model::RangeSample& range : data.ranges) {
       const auto other = exchanged.find(range.anchor_id);
