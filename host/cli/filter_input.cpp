@@ -181,7 +181,7 @@ void FilterInput::expect_finite(std::span<const model::PlanarEstimate> rows,
 
 std::vector<diagnosis::Finding> FilterInput::diagnose(const Drive& drive) {
   diagnosis::Data data = diagnosis::data_of(drive.dataset);
-  if (drive.options.knows_start)
+  if (drive.options.knows_start && !drive.options.relocates)
     data.start = {.t_s = drive.options.start.t_s, .pose = drive.options.start.pose};
   return diagnosis::diagnose(std::move(data), drive.calibration);
 }

@@ -1,4 +1,4 @@
-// The heading of the pose that a filter or smoother starts from, against the ranges of a window of the drive.
+// The pose that a filter or smoother starts from, against the ranges of a window of the drive.
 #pragma once
 
 #include <optional>
@@ -10,8 +10,9 @@
 
 namespace groma::diagnosis {
 
-// `heading-offset`, `heading-sign` or `angle-unit`; none if the ranges leave the heading open, or without a
-// start. `best`: the fit of the scene, which is of these data.
+// `heading-offset`, `heading-sign` or `angle-unit` of the heading; `length-unit` or `map-mismatch` of the
+// position. None if the ranges leave the pose open, or without a start. `best`: the fit of the scene, which
+// is of these data and explains them.
 [[nodiscard]] std::optional<Finding> find_wrong_start(const Data& data, const WindowScene& scene,
                                                       const RangeFit& best);
 

@@ -145,14 +145,14 @@ void WindowScene::locate(const Mistake& mistake, std::vector<Eigen::Vector3d>& a
   }
 }
 
-Eigen::VectorXd WindowScene::block_from(std::size_t index, double t_s, const Eigen::Vector3d& pose) const {
+Eigen::Vector3d WindowScene::carried(const Eigen::Vector3d& pose, double from_s, double to_s) const {
   const DeadReckoning path(odometry_, {});
-  const DeadReckoning::Place then = path.at(t_s);
-  const DeadReckoning::Place begin = path.at(windows_[index]);
-  const double turn_rad = pose.z() - then.heading_rad;
+  const DeadReckoning::Place from = path.at(from_s);
+  const DeadReckoning::Place to = path.at(to_s);
+  const double turn_rad = pose.z() - from.heading_rad;
   const Eigen::Vector2d place_m =
-      pose.head<2>() + Eigen::Rotation2Dd(turn_rad) * (begin.position_m - then.position_m);
-  return Eigen::Vector3d(place_m.x(), place_m.y(), begin.heading_rad + turn_rad);
+      pose.head<2>() + Eigen::Rotation2Dd(turn_rad) * (to.position_m - from.position_m);
+  return {place_m.x(), place_m.y(), to.heading_rad + turn_rad};
 }
 
 double WindowScene::predict_m(const RangeRow& row, const Eigen::Vector3d& antenna_m,

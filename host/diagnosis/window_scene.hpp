@@ -31,8 +31,9 @@ class WindowScene final : public Scene {
       std::span<const RangeRow> rows, std::span<const Eigen::Vector3d> antennas_m) const override;
   // Begin of each block's window, s.
   [[nodiscard]] std::span<const double> windows() const noexcept { return windows_; }
-  // The block if base_link is at x, y (m) and heading (rad) at t_s, by dead reckoning; NaN without odometry.
-  [[nodiscard]] Eigen::VectorXd block_from(std::size_t index, double t_s, const Eigen::Vector3d& pose) const;
+  // The pose (x, y in m, heading in rad) at to_s of a robot that is at `pose` at from_s, before or after
+  // that, by dead reckoning; NaN without odometry.
+  [[nodiscard]] Eigen::Vector3d carried(const Eigen::Vector3d& pose, double from_s, double to_s) const;
 
  private:
   struct Pair {

@@ -245,16 +245,17 @@ TEST(Diagnose, WithACalibrationNamesNothingInAGoodDrive) {
 }
 
 // What a filter starts from.
-TEST(Diagnose, NamesTheHeadingOfAWrongStart) {
+TEST(Diagnose, NamesAWrongStart) {
   Data data = small_drive(7, kLonger_s);
   const model::Calibration calibration = surveyed(data);
   const model::PoseSample truth = data.poses[20];
   data.poses.clear();
-  const auto findings_from = [&](double yaw_rad) {
+  const auto findings_at = [&](double x_m, double y_m, double yaw_rad) {
     Data started = data;
-    started.start = {.t_s = truth.t_s, .pose = {truth.x_m, truth.y_m, yaw_rad}};
+    started.start = {.t_s = truth.t_s, .pose = {x_m, y_m, yaw_rad}};
     return diagnose(std::move(started), calibration);
   };
+  const auto findings_from = [&](double yaw_rad) { return findings_at(truth.x_m, truth.y_m, yaw_rad); };
   EXPECT_THAT(findings_from(truth.yaw_rad + 0.1), testing::IsEmpty());
   for (const double error_rad : {0.4, -0.5 * std::numbers::pi, std::numbers::pi}) {
     const std::vector<Finding> findings = findings_from(truth.yaw_rad + error_rad);
@@ -264,6 +265,11 @@ TEST(Diagnose, NamesTheHeadingOfAWrongStart) {
   }
   EXPECT_THAT(causes_of(findings_from(-truth.yaw_rad)), testing::ElementsAre("heading-sign"));
   EXPECT_THAT(causes_of(findings_from(truth.yaw_rad * test::kDegrees)), testing::ElementsAre("angle-unit"));
+  EXPECT_THAT(findings_at(truth.x_m + 1.0, truth.y_m - 1.0, truth.yaw_rad), testing::IsEmpty());
+  EXPECT_THAT(causes_of(findings_at(truth.x_m - 30.0, truth.y_m + 20.0, truth.yaw_rad + 1.0)),
+              testing::ElementsAre("map-mismatch"));
+  EXPECT_THAT(causes_of(findings_at(1e3 * truth.x_m, 1e3 * truth.y_m, truth.yaw_rad)),
+              testing::ElementsAre("length-unit"));
 }
 
 TEST(Diagnose, AnUnusableCalibrationProvesNothing) {
