@@ -58,7 +58,7 @@ Shows best_window(const WindowScene& scene, const RangeFit& fit, double start_s)
 Finding wrong_heading(double yaw_rad, double error_rad, double sigma_rad) {
   constexpr double kNear_rad = 0.25;  // by hand
   constexpr double kTurn_rad = 7.0;   // a turn and a bit
-  // By what it is wrong tells the cause: the true heading is the given one less the error.
+  // The size of the error shows its cause: the true heading is the given one less the error.
   const double off_degrees_rad = std::abs(model::wrap_angle(yaw_rad / kDegrees.factor - yaw_rad + error_rad));
   if (std::abs(yaw_rad) > kTurn_rad && off_degrees_rad < kNear_rad) {
     return {.cause = "angle-unit",
