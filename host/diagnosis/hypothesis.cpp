@@ -35,8 +35,8 @@ constexpr double kLeastGainSigmas = 2.0;
 // It is enough to be this many above zero where the gain is large, in log likelihood of a range: a robot that
 // moves in a few slices only shows a mistake there only. By hand: without a mistake, no hypothesis of a named
 // size gains more than 0.002 in any run.
-constexpr double kLargeGain = 0.1;
-constexpr double kLargeGainSigmas = 1.5;
+constexpr double kLargeGain = 0.2;
+constexpr double kLargeGainSigmas = 1.6;
 // A drift is an offset and more, which are certain together. To tell it from an offset needs less. By hand.
 constexpr double kDriftSignificance = 3.0;
 

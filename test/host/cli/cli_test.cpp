@@ -694,7 +694,10 @@ TEST_F(CliTest, ReplayOfAPartStartsAtTheGivenTimeAndPose) {
   ASSERT_EQ(started.exit_code, 0) << started.err;
   rows = io::read_estimate(estimate_);
   EXPECT_NEAR(rows.front().x_m, truth.x_m, 0.3);
-  EXPECT_EQ(replay_calibrated({"--start", "-1,-2,-0.5"}).exit_code, 0) << "a minus does not begin an option";
+  // A minus does not begin an option.
+  const ChildResult elsewhere = replay_calibrated({"--start", "-1,-2,-0.5"});
+  EXPECT_EQ(elsewhere.exit_code, 3) << elsewhere.err;
+  EXPECT_THAT(elsewhere.err, HasSubstr("the start"));
 }
 
 TEST_F(CliTest, TheSameInputGivesTheSameFiles) {

@@ -236,7 +236,7 @@ TEST_F(GromadTest, NamesAMistakeOfTheOdometryInStatusAndLog) {
   bool is_found = false;
   for (int i = 0; i < 5 && !is_found; ++i) is_found = run_until(site, gromad, is_named);
   ASSERT_TRUE(is_found) << gromad.log();
-  EXPECT_NEAR(finding().at("value"), 1.2, 0.05);
+  EXPECT_NEAR(finding().at("value"), 1.2, 0.05) << finding().dump();
   EXPECT_THAT(gromad.log(), HasSubstr("odometry-scale: the odometry moves"));
 }
 
