@@ -156,9 +156,9 @@ TEST(Diagnose, NamesTheUnitOfRangesInASmallRoom) {
   EXPECT_EQ(findings.front().value, made.value);
 }
 
-// Half of the slices show nothing of a clock, as the robot stands; those in which it moves show it clearly.
+// Most slices show nothing of a clock, as the robot stands; those in which it moves show it clearly.
 TEST(Diagnose, NamesAClockThatFewSlicesShow) {
-  constexpr double kStands_s = 30.0;
+  constexpr double kStands_s = 22.0;
   Data data = small_drive(6, 60.0);
   const auto stands = [&](const auto& sample) { return sample.t_s > kStands_s; };
   test::SmallNoise noise(6);
