@@ -276,9 +276,10 @@ Hypothesis heading_sign() {
 
 std::vector<Hypothesis> of_clock_and_tags(const Data& data, const RangeFit& given,
                                           const MakeScene& make_scene, std::string_view reference,
-                                          double height_variance_m2) {
+                                          double height_variance_m2, bool searches_clock) {
   std::optional<double> offset_s;
-  if (given.scale_m > kFarSigmas * data.priors.sigma_m) offset_s = best_offset_s(data, make_scene);
+  if (searches_clock && given.scale_m > kFarSigmas * data.priors.sigma_m)
+    offset_s = best_offset_s(data, make_scene);
   std::vector<Hypothesis> out{
       clock_offset(offset_s, reference),
       clock_drift(offset_s, data.ranges.front().t_s, data.ranges.back().t_s, reference),

@@ -57,11 +57,13 @@ using MakeScene = std::function<std::unique_ptr<Scene>(const Data&, std::size_t 
 // `given`: the fit without any.
 using MakeHypotheses = std::function<std::vector<Hypothesis>(const Data&, const RangeFit& given)>;
 
-// Those of the ranges' clock and the tags' places.
+// Those of the ranges' clock and the tags' places. A clock that is far off is searched for, which takes
+// longest, if `searches_clock`.
 [[nodiscard]] std::vector<Hypothesis> of_clock_and_tags(const Data& data, const RangeFit& given,
                                                         const MakeScene& make_scene,
                                                         std::string_view reference,
-                                                        double height_variance_m2 = 0.0);
+                                                        double height_variance_m2 = 0.0,
+                                                        bool searches_clock = true);
 
 // The mistakes that are named, each corrected in the data before the next is looked for: the hypothesis under
 // which the ranges are likeliest, if they are clearly likelier than as given, by `least_gain` in log

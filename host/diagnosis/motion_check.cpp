@@ -281,8 +281,13 @@ std::vector<Finding> compare_with_calibration(Data& data, const model::Calibrati
   std::optional<Constellation> seen;
   const double height_m2 = height_variance_m2(calibration);
   const auto hypotheses = [&](const Data& now, const RangeFit& given) {
+    windows = given;
+    seen = compare_constellation(now, calibration);
+    // Exchanged anchors explain more than a clock, which is looked for after them.
+    const bool are_exchanged = seen && shows_exchange(*seen);
     std::vector<Hypothesis> out = of_odometry(now, error.scale());
-    for (Hypothesis& hypothesis : of_clock_and_tags(now, given, make_scene, "odometry's", height_m2)) {
+    for (Hypothesis& hypothesis :
+         of_clock_and_tags(now, given, make_scene, "odometry's", height_m2, !are_exchanged)) {
       out.push_back(std::move(hypothesis));
     }
     out.push_back(surface_height(height_m2));
@@ -290,9 +295,7 @@ std::vector<Finding> compare_with_calibration(Data& data, const model::Calibrati
       if (!hypothesis.resembles_odometry) continue;
       for (Parameters& start : hypothesis.starts) start = error.with_these(start);
     }
-    windows = given;
-    seen = compare_constellation(now, calibration);
-    if (seen && shows_exchange(*seen)) out.push_back(renumbered(seen->exchanged));
+    if (are_exchanged) out.push_back(renumbered(seen->exchanged));
     return out;
   };
   std::vector<Finding> findings =
