@@ -33,7 +33,7 @@ constexpr double kFarSigmas = 1.5;
 // beside kSignificance for the size.
 constexpr double kLeastGainSigmas = 2.0;
 // It is enough to be this many above zero where the gain is large, in log likelihood of a range: a robot that
-// moves in a few slices only shows a mistake there only. By hand: without a mistake, no hypothesis of a named
+// moves in few slices shows a mistake in these alone. By hand: without a mistake, no hypothesis of a named
 // size gains more than 0.002 in any run.
 constexpr double kLargeGain = 0.2;
 constexpr double kLargeGainSigmas = 1.6;
@@ -158,47 +158,43 @@ Hypothesis clock_drift(std::optional<double> start_s, double begin_s, double end
   return out;
 }
 
-Hypothesis swapped_tags(std::size_t a, std::size_t b, const Data& data) {
+Hypothesis without_size(std::function<void(Data&)> change, Finding finding) {
   Hypothesis out;
   out.least_gain = kLeastDiscreteGain;
-  out.change = [a, b](Data& changed) { std::swap(changed.tags[a].lever_arm_m, changed.tags[b].lever_arm_m); };
-  out.name = [ids = std::vector{data.tags[a].id, data.tags[b].id}](const RangeFit&) {
-    return Finding{
-        .cause = "swapped-tags",
-        .evidence = fmt::format("the ranges fit the motion if tags {} and {} change places", ids[0], ids[1]),
-        .remedy = fmt::format("exchange the positions of tags {} and {} in tags.csv, or the tags on the "
-                              "robot",
-                              ids[0], ids[1]),
-        .of = ids};
-  };
+  out.change = std::move(change);
+  out.name = [finding = std::move(finding)](const RangeFit&) { return finding; };
   return out;
+}
+
+Hypothesis swapped_tags(std::size_t a, std::size_t b, const Data& data) {
+  const std::vector ids{data.tags[a].id, data.tags[b].id};
+  return without_size(
+      [a, b](Data& changed) { std::swap(changed.tags[a].lever_arm_m, changed.tags[b].lever_arm_m); },
+      {.cause = "swapped-tags",
+       .evidence = fmt::format("the ranges fit the motion if tags {} and {} change places", ids[0], ids[1]),
+       .remedy = fmt::format("exchange the positions of tags {} and {} in tags.csv, or the tags on the robot",
+                             ids[0], ids[1]),
+       .of = ids});
 }
 
 Hypothesis unit_of_lever_arms(const Unit& unit) {
-  Hypothesis out;
-  out.least_gain = kLeastDiscreteGain;
-  out.change = [unit](Data& changed) {
-    for (model::Tag& tag : changed.tags) tag.lever_arm_m /= unit.factor;
-  };
-  out.name = [unit](const RangeFit&) {
-    return lever_arms_in(unit, "the ranges fit the motion if all tags are nearer to base_link");
-  };
-  return out;
+  return without_size(
+      [unit](Data& changed) {
+        for (model::Tag& tag : changed.tags) tag.lever_arm_m /= unit.factor;
+      },
+      lever_arms_in(unit, "the ranges fit the motion if all tags are nearer to base_link"));
 }
 
 Hypothesis mirrored_tags() {
-  Hypothesis out;
-  // A little more than to swap: with two tags it may be the same, and to swap is more usual.
-  out.least_gain = kLeastDiscreteGain;
+  Hypothesis out = without_size(
+      [](Data& changed) {
+        for (model::Tag& tag : changed.tags) tag.lever_arm_m.y() = -tag.lever_arm_m.y();
+      },
+      {.cause = "lateral-sign",
+       .evidence = "the ranges fit the motion if the tags' y changes its sign",
+       .remedy = "count y_m of tags.csv positive to the left"});
+  // With two tags it may be the same as to swap them, which is more usual.
   out.penalty = 0.005;
-  out.change = [](Data& changed) {
-    for (model::Tag& tag : changed.tags) tag.lever_arm_m.y() = -tag.lever_arm_m.y();
-  };
-  out.name = [](const RangeFit&) {
-    return Finding{.cause = "lateral-sign",
-                   .evidence = "the ranges fit the motion if the tags' y changes its sign",
-                   .remedy = "count y_m of tags.csv positive to the left"};
-  };
   return out;
 }
 
@@ -261,17 +257,13 @@ Hypothesis heading_offset() {
 }
 
 Hypothesis heading_sign() {
-  Hypothesis out;
-  out.least_gain = kLeastDiscreteGain;
-  out.change = [](Data& data) {
-    for (model::PoseSample& pose : data.poses) pose.yaw_rad = -pose.yaw_rad;
-  };
-  out.name = [](const RangeFit&) {
-    return Finding{.cause = "heading-sign",
-                   .evidence = "the ranges fit the poses if the heading changes its sign",
-                   .remedy = "count the yaw of the poses counter-clockwise, from above"};
-  };
-  return out;
+  return without_size(
+      [](Data& data) {
+        for (model::PoseSample& pose : data.poses) pose.yaw_rad = -pose.yaw_rad;
+      },
+      {.cause = "heading-sign",
+       .evidence = "the ranges fit the poses if the heading changes its sign",
+       .remedy = "count the yaw of the poses counter-clockwise, from above"});
 }
 
 std::vector<Hypothesis> of_clock_and_tags(const Data& data, const RangeFit& given,

@@ -41,6 +41,8 @@ struct Hypothesis {
 [[nodiscard]] Hypothesis clock_offset(std::optional<double> start_s, std::string_view reference);
 [[nodiscard]] Hypothesis clock_drift(std::optional<double> start_s, double begin_s, double end_s,
                                      std::string_view reference);
+// A mistake that has no size: the data without it, and what is named.
+[[nodiscard]] Hypothesis without_size(std::function<void(Data&)> change, Finding finding);
 // Indices of tags.
 [[nodiscard]] Hypothesis swapped_tags(std::size_t a, std::size_t b, const Data& data);
 // `height_variance_m2`: how well the anchors' heights are known, together.

@@ -61,16 +61,12 @@ Hypothesis scalar(const Scalar& of) {
   return out;
 }
 
-Hypothesis changed(std::function<void(Data&)> change, std::string_view cause, const std::string& evidence,
-                   const std::string& remedy, const std::vector<double>& value = {}) {
-  Hypothesis out;
-  out.least_gain = kLeastDiscreteGain;
-  out.change = std::move(change);
-  out.name = [=](const RangeFit&) {
-    return Finding{
-        .cause = cause, .evidence = evidence, .remedy = remedy, .value = value, .is_of_odometry_alone = true};
-  };
-  return out;
+Hypothesis of_odometry_alone(std::function<void(Data&)> change, std::string_view cause,
+                             const std::string& evidence, const std::string& remedy,
+                             const std::vector<double>& value = {}) {
+  return without_size(
+      std::move(change),
+      {.cause = cause, .evidence = evidence, .remedy = remedy, .value = value, .is_of_odometry_alone = true});
 }
 
 // Whether the yaw rate may be in degrees: a robot turns faster than this now and then. By hand.
@@ -82,7 +78,7 @@ bool may_be_degrees(const std::vector<model::OdometrySample>& odometry) {
 }
 
 Hypothesis wrong_yaw_rate_sign() {
-  return changed(
+  return of_odometry_alone(
       [](Data& data) {
         for (model::OdometrySample& sample : data.odometry) sample.omega_radps = -sample.omega_radps;
       },
@@ -121,14 +117,14 @@ std::vector<Hypothesis> of_odometry(const Data& data, double corrected) {
        .correct = each([](double scale, model::OdometrySample& sample) { sample.omega_radps /= scale; })}));
   out.back().resembles_odometry = true;
   out.push_back(wrong_yaw_rate_sign());
-  out.push_back(changed(
+  out.push_back(of_odometry_alone(
       [](Data& data) {
         for (model::OdometrySample& sample : data.odometry) sample.vy_mps = -sample.vy_mps;
       },
       "lateral-sign", "the ranges fit the odometry if its lateral speed changes its sign",
       "count vy_mps positive to the left"));
   if (may_be_degrees(data.odometry)) {
-    out.push_back(changed(
+    out.push_back(of_odometry_alone(
         [](Data& of) {
           for (model::OdometrySample& sample : of.odometry) sample.omega_radps /= kDegrees.factor;
         },
@@ -228,25 +224,20 @@ class OdometryError {
 };
 
 Hypothesis renumbered(const std::map<model::NodeId, model::NodeId>& exchanged) {
-  Hypothesis out;
-  out.least_gain = kLeastDiscreteGain;
-  out.change = [exchanged](Data& data) {
-    for (model::RangeSample& range : data.ranges) {
-      const auto other = exchanged.find(range.anchor_id);
-      if (other != exchanged.end()) range.anchor_id = other->second;
-    }
-  };
   std::vector<model::NodeId> ids;
   ids.reserve(exchanged.size());
   for (const auto& [id, other] : exchanged) ids.push_back(id);
-  out.name = [ids](const RangeFit&) {
-    return Finding{
-        .cause = "renumbered-anchors",
-        .evidence = fmt::format("anchors {} are where the calibration has others", fmt::join(ids, ", ")),
-        .remedy = "calibrate again, or restore the anchors' ids",
-        .of = ids};
-  };
-  return out;
+  return without_size(
+      [exchanged](Data& data) {
+        for (model::RangeSample& range : data.ranges) {
+          const auto other = exchanged.find(range.anchor_id);
+          if (other != exchanged.end()) range.anchor_id = other->second;
+        }
+      },
+      {.cause = "renumbered-anchors",
+       .evidence = fmt::format("anchors {} are where the calibration has others", fmt::join(ids, ", ")),
+       .remedy = "calibrate again, or restore the anchors' ids",
+       .of = ids});
 }
 
 // By hand: more than one of ten anchors may be moved, or badly placed by dead reckoning.
@@ -302,7 +293,8 @@ std::vector<Finding> compare_with_calibration(Data& data, const model::Calibrati
       find_mistakes(data, make_scene, hypotheses, 0.0, [&](Data& now) { error.remove(now); });
   if (!findings.empty()) return findings;
   if (windows.scale_m < kFitSigmas * data.priors.sigma_m) {
-    if (auto found = find_wrong_start(data, WindowScene(data, calibration, kMostRows), windows))
+    if (!data.start) return findings;
+    if (auto found = find_wrong_start(*data.start, WindowScene(data, calibration, kMostRows), windows))
       findings.push_back(std::move(*found));
     return findings;
   }

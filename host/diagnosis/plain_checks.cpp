@@ -168,8 +168,12 @@ constexpr double kTypicalRatio = 0.85;
 std::optional<double> range_change_ratio(const Data& data, const std::vector<model::RangeSample>& ranges) {
   const PlaceAt place_at = data.poses.empty() ? places_on_way(data.odometry) : places_of(data.poses);
   std::optional<double> ratio;
-  double step_m = 4.0;
-  while (!ratio && step_m > 0.5) ratio = range_change_ratio(place_at, ranges, step_m *= 0.5);
+  double step_m = 0.0;
+  for (const double tried_m : {2.0, 1.0, 0.5}) {
+    step_m = tried_m;
+    ratio = range_change_ratio(place_at, ranges, step_m);
+    if (ratio) break;
+  }
   for (int round = 0; round < 3 && ratio && *ratio > 0.0 && *ratio < 0.5 * kTypicalRatio; ++round) {
     const auto again = range_change_ratio(place_at, ranges, step_m * kTypicalRatio / *ratio);
     if (!again) break;

@@ -101,20 +101,19 @@ Finding wrong_place(const Eigen::Vector2d& given_m, const Eigen::Vector2d& true_
 
 }  // namespace
 
-std::optional<Finding> find_wrong_start(const Data& data, const WindowScene& scene, const RangeFit& best) {
+std::optional<Finding> find_wrong_start(const GivenStart& start, const WindowScene& scene,
+                                        const RangeFit& best) {
   // By hand: five sigmas of a start, from which a filter does not find back; and a place from which it does
   // not.
   constexpr double kLeast_rad = 0.25;
   constexpr double kLeast_m = 3.0;
   // By hand, in log likelihood: poses that differ by less explain the window's ranges alike.
   constexpr double kLeastGain = 30.0;
-  if (!data.start) return std::nullopt;
-  const double start_s = data.start->t_s;
-  const auto [window, sigma_rad] = best_window(scene, best, start_s);
+  const auto [window, sigma_rad] = best_window(scene, best, start.t_s);
   if (!std::isfinite(sigma_rad)) return std::nullopt;
   const double window_s = scene.windows()[window];
-  const Eigen::Vector3d given(data.start->pose.x_m, data.start->pose.y_m, data.start->pose.theta_rad);
-  const Eigen::Vector3d truth = scene.carried(best.blocks[window], window_s, start_s);
+  const Eigen::Vector3d given(start.pose.x_m, start.pose.y_m, start.pose.theta_rad);
+  const Eigen::Vector3d truth = scene.carried(best.blocks[window], window_s, start.t_s);
   const double way_m = (truth - best.blocks[window]).head<2>().norm();
   const double least_rad = std::max(kLeast_rad, kSignificance * sigma_rad);
   const double least_m = kLeast_m + kSignificance * sigma_rad * way_m;
@@ -123,7 +122,7 @@ std::optional<Finding> find_wrong_start(const Data& data, const WindowScene& sce
   };
   if (!truth.allFinite() || !differ(given, truth)) return std::nullopt;
   std::vector<Eigen::VectorXd> blocks = best.blocks;
-  blocks[window] = scene.carried(given, start_s, window_s);
+  blocks[window] = scene.carried(given, start.t_s, window_s);
   const RangeFit near = fit_ranges_near(scene, {}, std::move(blocks));
   if (differ(near.blocks[window], best.blocks[window]) &&
       (near.cost - best.cost) * static_cast<double>(best.rows) < kLeastGain) {

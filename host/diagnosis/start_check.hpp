@@ -11,9 +11,8 @@
 namespace groma::diagnosis {
 
 // `heading-offset`, `heading-sign` or `angle-unit` of the heading; `length-unit` or `map-mismatch` of the
-// position. None if the ranges leave the pose open, or without a start. `best`: the fit of the scene, which
-// is of these data and explains them.
-[[nodiscard]] std::optional<Finding> find_wrong_start(const Data& data, const WindowScene& scene,
+// position. None if the ranges leave the pose open. `best`: the fit of the scene, which it explains.
+[[nodiscard]] std::optional<Finding> find_wrong_start(const GivenStart& start, const WindowScene& scene,
                                                       const RangeFit& best);
 
 }  // namespace groma::diagnosis

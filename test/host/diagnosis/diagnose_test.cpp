@@ -72,6 +72,11 @@ void expect_size(const Finding& finding, const test::MistakeMade& made) {
   }
 }
 
+void expect_unit(const std::vector<Finding>& findings, const test::MistakeMade& made) {
+  ASSERT_THAT(causes_of(findings), testing::ElementsAre(made.cause));
+  EXPECT_EQ(findings.front().value, made.value);
+}
+
 // Of a test, for its name.
 std::string name_of(const testing::TestParamInfo<test::MistakeMade>& made) {
   std::string name = fmt::format("{}_{}_{}", made.index, made.param.cause, made.param.name);
@@ -133,9 +138,7 @@ TEST(Diagnose, RangesInBurstsDoNotHideTheUnitOfTheTimes) {
   }
   const test::MistakeMade made = test::all_times_unit(1e6);
   made.make(data);
-  const std::vector<Finding> findings = find_wrong_times(data);
-  ASSERT_THAT(causes_of(findings), testing::ElementsAre("time-unit"));
-  EXPECT_EQ(findings.front().value, made.value);
+  expect_unit(find_wrong_times(data), made);
 }
 
 // A robot on a circle of 0.7 m radius is never 2 m from where it was.
@@ -151,9 +154,7 @@ TEST(Diagnose, NamesTheUnitOfRangesInASmallRoom) {
   EXPECT_THAT(find_wrong_lengths(data), testing::IsEmpty());
   const test::MistakeMade made = test::length_unit(1e2);
   made.make(data);
-  const std::vector<Finding> findings = find_wrong_lengths(data);
-  ASSERT_THAT(causes_of(findings), testing::ElementsAre("length-unit"));
-  EXPECT_EQ(findings.front().value, made.value);
+  expect_unit(find_wrong_lengths(data), made);
 }
 
 // Most slices show nothing of a clock, as the robot stands; those in which it moves show it clearly.
